@@ -1,0 +1,280 @@
+"""The named controllers of the paper, composed of the same blocks, behind one `step`.
+
+============== == ======== ============== ===== ======
+name           TD Kalman   observer poles fuzzy law
+============== == ======== ============== ===== ======
+pid            x                                PID
+cascaded-pid                                    P on the output, PI on its rate (as PX4 flies height)
+wb-ladrc       x           one by one           kp, kd one by one ("without bandwidth")
+ladrc          x           omega_o              omega_c
+fa-ladrc       x           omega_o        x     omega_c + correction
+kffa-ladrc     x  x        omega_o        x     omega_c + correction
+============== == ======== ============== ===== ======
+
+Added to the paper: the command is limited here and the observer is told the limited one (no
+wind-up), delayed and lagged as the vehicle feels it; angles are unwrapped at the entrance, so that
+a yaw reference across +-pi takes the short way and everything behind is linear.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from kffa_offboard.control import Array, BoolArray, actuator, column, fuzzy, kalman, ladrc, observer, pid
+from kffa_offboard.control import tracking_differentiator as td
+
+CHANNELS = ("roll", "pitch", "yaw", "altitude")
+ROLL, PITCH, YAW, ALTITUDE = range(4)
+
+ControllerName = Literal["pid", "cascaded-pid", "wb-ladrc", "ladrc", "fa-ladrc", "kffa-ladrc"]
+NAMES: tuple[ControllerName, ...] = ("pid", "cascaded-pid", "wb-ladrc", "ladrc", "fa-ladrc", "kffa-ladrc")
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Bounds of each channel's command and of its change per second; each ``(4,)`` or ``(4, N)``."""
+
+    lower: Array
+    upper: Array
+    rate: Array
+
+
+@dataclass(frozen=True)
+class ControllerParameters:
+    """One controller: the blocks that it has (None where it has none) and what they share.
+
+    Attributes
+    ----------
+    angular : (4,) of bool
+        Channels whose output is an angle and wraps at +-pi.
+    prediction : (4,), s, or None
+        How far ahead of the estimate the law looks (the commands under way are known).
+    """
+
+    name: ControllerName
+    model: observer.PlantModel
+    actuator: actuator.ActuatorParameters
+    limits: Limits
+    angular: BoolArray
+    differentiator: td.TrackingDifferentiatorParameters | None = None
+    kalman: kalman.KalmanParameters | None = None
+    observer: observer.ObserverParameters | None = None
+    fuzzy: fuzzy.FuzzyParameters | None = None
+    law: ladrc.LawParameters | None = None
+    pid: pid.PidParameters | None = None
+    prediction: Array | None = None
+
+
+@dataclass(frozen=True)
+class ControllerState:
+    """Everything that a controller remembers between steps; a value: copy it, compare it, save it."""
+
+    differentiator: td.TrackingDifferentiatorState
+    observer: observer.ObserverState
+    actuator: actuator.ActuatorState
+    pid: pid.PidState
+    kalman: kalman.KalmanState | None = None
+
+
+@dataclass(frozen=True)
+class ControllerInput:
+    """What one step is told; arrays ``(4[, N])`` in channel order.
+
+    Attributes
+    ----------
+    reference : wanted output; angles in any turn
+    measurement : measured output; entries that are not fresh are not read
+    fresh : channels with a new measurement
+    measured_rate : measured rate of the output, read by the PIDs only; None differentiates
+    """
+
+    reference: Array
+    measurement: Array
+    fresh: BoolArray
+    measured_rate: Array | None = None
+
+
+@dataclass(frozen=True)
+class ControllerOutput:
+    """What one step says; arrays ``(4[, N])`` in channel order.
+
+    Attributes
+    ----------
+    command : limited command
+    reference, reference_rate : what the law tracked (after the tracking differentiator)
+    estimate, estimate_rate, disturbance : s1, s2, s3
+    omega_c : momentary controller bandwidth, rad/s (0 for the PIDs)
+    saturated : command was limited
+    """
+
+    command: Array
+    reference: Array
+    reference_rate: Array
+    estimate: Array
+    estimate_rate: Array
+    disturbance: Array
+    omega_c: Array
+    saturated: BoolArray
+
+
+def wrap_near(angle: Array, near: Array, angular: BoolArray) -> Array:
+    """Take that turn of `angle` which is nearest to `near`; channels that are no angles pass."""
+    turns = np.round((angle - near) / (2.0 * np.pi))
+    mask = angular.reshape(angular.shape + (1,) * (angle.ndim - 1))
+    return np.where(mask, angle - 2.0 * np.pi * turns, angle)
+
+
+def initial_state(parameters: ControllerParameters, measurement: Array, command: Array) -> ControllerState:
+    """Start at rest at `measurement` ``(4[, N])``, where `command` ``(4[, N])`` has held the balance."""
+    zero = np.zeros_like(measurement)
+    balance = (
+        column(parameters.model.stiffness, measurement) * measurement
+        - column(parameters.model.b0, measurement) * command
+    )
+    return ControllerState(
+        differentiator=td.TrackingDifferentiatorState(measurement, zero, zero),
+        observer=observer.ObserverState(measurement, zero, balance, zero),
+        actuator=actuator.initial_state(command),
+        pid=pid.initial_state(measurement),
+        kalman=(kalman.initial_state(parameters.kalman, measurement, balance) if parameters.kalman else None),
+    )
+
+
+def align_reference(parameters: ControllerParameters, state: ControllerState) -> ControllerState:
+    """Let the reference start from what is estimated, so that engaging or a new segment makes no bump.
+
+    The integral of a PID is set so that its next command equals the one that is acting.
+    """
+    estimate, rate = state.observer.estimate, state.observer.rate
+    aligned = replace(
+        state, differentiator=td.TrackingDifferentiatorState(estimate, rate, np.zeros_like(rate))
+    )
+    if parameters.pid is None:
+        return aligned
+    acting = state.actuator.commands[-1]
+    at_rest = replace(state.pid, integral=np.zeros_like(acting))
+    unlimited = pid.command(parameters.pid, at_rest, state.pid.measurement)
+    integral = column(parameters.pid.b0, acting) * (acting - unlimited)
+    needs = column(parameters.pid.ki, acting) > 0.0
+    return replace(aligned, pid=replace(state.pid, integral=np.where(needs, integral, 0.0)))
+
+
+def with_applied(parameters: ControllerParameters, state: ControllerState, command: Array) -> ControllerState:
+    """Tell the observer which command ``(4[, N])`` really goes out from now on.
+
+    For a guard that changed the command after `step`, and for shadow flight, where the autopilot's own
+    command acts. It replaces the one that `step` noted.
+    """
+    return replace(state, actuator=actuator.send(state.actuator, command))
+
+
+def _limit(limits: Limits, command: Array, previous: Array, dt: float) -> Array:
+    """Bound the command and its change since `previous`; bounds win over the change."""
+    change = column(limits.rate, command) * dt
+    slewed = np.clip(command, previous - change, previous + change)
+    return np.clip(slewed, column(limits.lower, command), column(limits.upper, command))
+
+
+def _estimate(
+    parameters: ControllerParameters, state: ControllerState, inputs: ControllerInput, dt: float
+) -> ControllerState:
+    """Command queue, Kalman filter and observer: everything that runs in shadow, too."""
+    angular = parameters.angular
+    queue, acted = actuator.step(parameters.actuator, state.actuator, dt)
+    predicted = observer.predict(parameters.model, state.observer, acted, dt)
+    measurement = np.where(inputs.fresh, inputs.measurement, predicted.estimate)
+    measurement = wrap_near(measurement, predicted.estimate, angular)
+    filter_state = state.kalman
+    filtered = measurement
+    if parameters.kalman is not None and state.kalman is not None:
+        filter_state, filtered = kalman.step(
+            parameters.kalman, parameters.model, state.kalman, acted, measurement, inputs.fresh, dt
+        )
+    baseline = state.pid
+    if parameters.pid is not None:
+        baseline = pid.differentiate(parameters.pid, baseline, measurement, dt)
+        if inputs.measured_rate is not None:
+            baseline = replace(baseline, rate=inputs.measured_rate)
+        estimates = observer.ObserverState(measurement, baseline.rate, -baseline.integral, predicted.elapsed)
+    else:
+        assert parameters.observer is not None
+        estimates = observer.correct(parameters.observer, parameters.model, predicted, filtered, inputs.fresh)
+    return replace(state, observer=estimates, actuator=queue, kalman=filter_state, pid=baseline)
+
+
+def _track(
+    parameters: ControllerParameters, state: ControllerState, reference: Array, dt: float
+) -> td.TrackingDifferentiatorState:
+    """The reference as the law sees it, in the turn of the present one."""
+    near = wrap_near(reference, state.differentiator.position, parameters.angular)
+    if parameters.differentiator is None:
+        return td.TrackingDifferentiatorState(near, np.zeros_like(near), np.zeros_like(near))
+    return td.step(parameters.differentiator, state.differentiator, near, dt)
+
+
+def step(
+    parameters: ControllerParameters, state: ControllerState, inputs: ControllerInput, dt: float
+) -> tuple[ControllerState, ControllerOutput]:
+    """One step of the named controller, `dt` s after the last one.
+
+    Raises
+    ------
+    ValueError
+        If `dt` is not positive and finite.
+    """
+    if not 0.0 < dt < np.inf:
+        raise ValueError(f"control step of {dt} s: dt must be positive; give each sample once, in order")
+    state = _estimate(parameters, state, inputs, dt)
+    tracked = _track(parameters, state, inputs.reference, dt)
+    state = replace(state, differentiator=tracked)
+    previous = state.actuator.commands[-1]
+    if parameters.pid is not None:
+        unlimited = pid.command(parameters.pid, state.pid, tracked.position)
+        command = _limit(parameters.limits, unlimited, previous, dt)
+        excess = unlimited - command
+        integrated = pid.integrate(parameters.pid, state.pid, tracked.position, excess, dt)
+        state = replace(state, pid=integrated)
+        omega_c = np.zeros_like(command)
+    else:
+        unlimited, omega_c = _adrc_command(parameters, state)
+        command = _limit(parameters.limits, unlimited, previous, dt)
+    state = replace(state, actuator=actuator.send(state.actuator, command))
+    return state, ControllerOutput(
+        command=command,
+        reference=tracked.position,
+        reference_rate=tracked.rate,
+        estimate=state.observer.estimate,
+        estimate_rate=state.observer.rate,
+        disturbance=state.observer.disturbance,
+        omega_c=omega_c,
+        saturated=np.asarray(command != unlimited),
+    )
+
+
+def _ahead(parameters: ControllerParameters, state: ControllerState) -> observer.ObserverState:
+    """The estimates at the moment when the next command will act (those under way are known)."""
+    if parameters.prediction is None:
+        return state.observer
+    acting = actuator.forecast(parameters.actuator, state.actuator, parameters.prediction)
+    horizon = column(parameters.prediction, acting)
+    return observer.predict(parameters.model, state.observer, acting, horizon)
+
+
+def _adrc_command(parameters: ControllerParameters, state: ControllerState) -> tuple[Array, Array]:
+    """Unlimited command and the momentary omega_c of the four LADRC controllers."""
+    law, tracked = parameters.law, state.differentiator
+    assert law is not None
+    estimates = _ahead(parameters, state)
+    omega_c = np.broadcast_to(column(law.omega_c, estimates.estimate), estimates.estimate.shape)
+    if parameters.fuzzy is not None:
+        omega_c = omega_c + fuzzy.bandwidth_correction(
+            parameters.fuzzy, estimates.estimate - tracked.position, estimates.rate - tracked.rate
+        )
+    kp, kd = ladrc.gains(law, omega_c)
+    forward = law.acceleration_feedforward * tracked.acceleration
+    reference = (tracked.position, tracked.rate, forward)
+    unlimited = ladrc.command(parameters.model, estimates, reference, kp, kd)
+    return unlimited, omega_c

@@ -1,0 +1,174 @@
+"""Kalman filter in front of the observer (paper eq 43-48), on `filterpy.kalman.KalmanFilter`.
+
+One filter carries the stacked channels (block-diagonal model); the columns of its state are the
+batch of flights, which share one covariance. Only channels with a fresh measurement are
+corrected, the others are predicted.
+
+Differs from the paper in: read literally (two states per channel, Q = 0.03 I, R = 0.001) the gain is
+0.97 and nothing is filtered; that is `model = "literal"`. The default, `model = "extended"`, has
+the states of eq 19: output, rate and the disturbance as a random walk. With it the paper's
+claims about noise come out.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from kffa_offboard.control import Array, BoolArray, column
+from kffa_offboard.control.observer import PlantModel, transition
+
+LITERAL_PROCESS_VARIANCE = 0.03  # the paper's Q, per step (section III-C)
+MEASUREMENT_VARIANCE = 0.001  # the paper's R (section III-C)
+
+
+@dataclass(frozen=True)
+class KalmanParameters:
+    """Noise model of each channel.
+
+    Attributes
+    ----------
+    measurement_variance : (4,), output units squared
+        R: variance of one measurement.
+    disturbance_intensity : (4,), (output units/s^2)^2/s
+        Growth of the disturbance's variance per second (random walk); `extended` only.
+    model : "extended" or "literal"
+    process_variance : (4,), output units squared
+        Q of the literal filter, added to both states at every step.
+    """
+
+    measurement_variance: Array
+    disturbance_intensity: Array
+    model: Literal["extended", "literal"] = "extended"
+    process_variance: Array | None = None
+
+    @property
+    def states(self) -> int:
+        """Number of states of one channel."""
+        return 3 if self.model == "extended" else 2
+
+
+@dataclass(frozen=True)
+class KalmanState:
+    """Mean ``(4 * states, N)`` (channel by channel; N = 1 for one vehicle) and covariance of the filter."""
+
+    mean: Array
+    covariance: Array
+
+
+@cache
+def _blank_filter(states: int, channels: int) -> KalmanFilter:
+    return KalmanFilter(dim_x=states, dim_z=channels)
+
+
+def _filter(parameters: KalmanParameters, state: KalmanState) -> KalmanFilter:
+    """A filterpy filter holding `state`; filterpy rebinds its matrices and never writes into them."""
+    channels = len(parameters.measurement_variance)
+    kalman = copy(_blank_filter(parameters.states * channels, channels))
+    kalman.x, kalman.P = state.mean, state.covariance
+    return kalman
+
+
+def initial_state(
+    parameters: KalmanParameters, measurement: Array, disturbance: Array, rate_std: float = 1.0
+) -> KalmanState:
+    """Start at `measurement` ``(4[, N])`` at rest, with the disturbance that balances the command.
+
+    Parameters
+    ----------
+    rate_std : float
+        Standard deviation of the unknown first rate, output units/s.
+    """
+    channels, n = len(measurement), parameters.states
+    mean = np.zeros((channels, n, measurement.size // channels))
+    mean[:, 0] = measurement.reshape(channels, -1)
+    variances = np.zeros((channels, n))
+    variances[:, 0] = parameters.measurement_variance
+    variances[:, 1] = rate_std**2
+    if n == 3:
+        mean[:, 2] = disturbance.reshape(channels, -1)
+        variances[:, 2] = parameters.disturbance_intensity
+    return KalmanState(mean.reshape(channels * n, -1), np.diag(variances.reshape(-1)))
+
+
+def _model_matrices(parameters: KalmanParameters, damping: Array, dt: float) -> tuple[Array, Array, Array]:
+    """Transition F, input matrix B (for accelerations) and process noise Q over `dt`, block diagonal."""
+    channels, n = len(damping), parameters.states
+    e, p, q = transition(damping, dt)
+    base = n * np.arange(channels)
+    f = np.eye(n * channels)
+    f[base, base + 1] = p
+    f[base + 1, base + 1] = e
+    b = np.zeros((n * channels, channels))
+    b[base, np.arange(channels)] = q
+    b[base + 1, np.arange(channels)] = p
+    noise = np.zeros_like(f)
+    if n == 2:
+        variance = (
+            np.full(channels, LITERAL_PROCESS_VARIANCE)
+            if parameters.process_variance is None
+            else parameters.process_variance
+        )
+        noise[base, base] = noise[base + 1, base + 1] = variance
+        return f, b, noise
+    f[base, base + 2] = q
+    f[base + 1, base + 2] = p
+    # Integral of (t^2/2, t, 1)(t^2/2, t, 1)^T over dt: the random walk enters through the disturbance.
+    powers = np.array(
+        [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
+    )
+    for i in range(3):
+        for j in range(3):
+            noise[base + i, base + j] = parameters.disturbance_intensity * powers[i, j]
+    return f, b, noise
+
+
+def step(
+    parameters: KalmanParameters,
+    model: PlantModel,
+    state: KalmanState,
+    command: Array,
+    measurement: Array,
+    fresh: BoolArray,
+    dt: float,
+) -> tuple[KalmanState, Array]:
+    """Predict over `dt` with the command that acted, then correct with the fresh measurements (eq 44-48).
+
+    Parameters
+    ----------
+    model : PlantModel
+        ``damping`` must be per channel, ``(4,)``: the flights of a batch share one covariance.
+    command : (4[, N])
+    measurement : (4[, N])
+        Unwrapped near the filter's own output on angular channels.
+    fresh : (4[, N]) of bool
+        A channel counts as fresh when it is so in the first flight: flights of a batch are sampled together.
+
+    Returns
+    -------
+    state, filtered
+        The new state and the filtered output ``(4[, N])``.
+    """
+    channels, n = len(measurement), parameters.states
+    kalman = _filter(parameters, state)
+    f, b, q = _model_matrices(parameters, np.asarray(model.damping, dtype=float), dt)
+    outputs = state.mean.reshape(channels, n, -1)[:, 0].reshape(measurement.shape)
+    acceleration = column(model.b0, measurement) * command - column(model.stiffness, measurement) * outputs
+    kalman.predict(u=acceleration.reshape(channels, -1), B=b, F=f, Q=q)
+    index = np.flatnonzero(fresh.reshape(channels, -1)[:, 0])
+    if index.size:
+        h = np.zeros((index.size, n * channels))
+        h[np.arange(index.size), n * index] = 1.0
+        kalman.update(
+            measurement.reshape(channels, -1)[index],
+            R=np.diag(np.asarray(parameters.measurement_variance, dtype=float)[index]),
+            H=h,
+        )
+    mean = np.asarray(kalman.x)
+    filtered = mean.reshape(channels, n, -1)[:, 0].reshape(measurement.shape)
+    return KalmanState(mean, np.asarray(kalman.P)), filtered

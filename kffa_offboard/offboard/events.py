@@ -1,0 +1,231 @@
+"""What the service is told and what it answers: the vocabulary between MAVLink and control.
+
+Everything here is a value in the paper's axes (x north, y west, z up; roll, pitch and yaw
+right-handed about them), SI units and radians. `mavlink/` translates to and from the wire;
+nothing here knows MAVLink. Times are integer microseconds: `sample_time_us` is the
+autopilot's own clock (for dt), the arrival time is given to the service beside the event
+(for timeouts).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import Literal, TypeAlias
+
+Vector3: TypeAlias = tuple[float, float, float]
+Firmware: TypeAlias = Literal["px4", "ardupilot"]
+
+
+class ModeKind(Enum):
+    """What a flight mode means to an offboard controller, whatever the firmware calls it."""
+
+    OFFBOARD = "offboard"  # PX4 OFFBOARD; ArduCopter GUIDED or GUIDED_NOGPS
+    HOLD = "hold"  # PX4 Hold (AUTO.LOITER); ArduCopter BRAKE
+    LAND = "land"
+    OTHER = "other"
+
+
+class Severity(Enum):
+    """The four levels of a status text that the daemon uses (MAV_SEVERITY)."""
+
+    CRITICAL = "critical"
+    WARNING = "warning"
+    NOTICE = "notice"
+    INFO = "info"
+
+
+# ---------------------------------------------------------------------------- events in
+
+
+@dataclass(frozen=True, slots=True)
+class HeartbeatReceived:
+    """The autopilot is alive: its firmware, flight mode and arming state."""
+
+    firmware: Firmware
+    mode: ModeKind
+    mode_name: str
+    custom_mode: int
+    armed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeReceived:
+    """Euler angles [rad] (roll, pitch, yaw) and body rates [rad/s] of one sample."""
+
+    sample_time_us: int
+    attitude: Vector3
+    body_rates: Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class PositionReceived:
+    """Position [m] and velocity [m/s] of one sample, relative to the estimator's origin, z up."""
+
+    sample_time_us: int
+    position: Vector3
+    velocity: Vector3
+
+
+@dataclass(frozen=True, slots=True)
+class TargetReported:
+    """What the autopilot itself is commanding (ATTITUDE_TARGET); None where it is not to be trusted."""
+
+    sample_time_us: int
+    thrust: float | None
+    body_rates: Vector3 | None
+    attitude: Vector3 | None
+
+
+@dataclass(frozen=True, slots=True)
+class ThrottleReported:
+    """VFR_HUD throttle as a fraction 0..1, for firmware that reports no ATTITUDE_TARGET."""
+
+    throttle: float
+
+
+@dataclass(frozen=True, slots=True)
+class LandedStateReported:
+    """EXTENDED_SYS_STATE: is the vehicle on the ground?"""
+
+    on_ground: bool
+
+
+@dataclass(frozen=True, slots=True)
+class CommandAnswered:
+    """COMMAND_ACK. `action` names the output it answers."""
+
+    action: Literal["arm", "disarm", "mode", "message-rate", "gripper", "other"]
+    command: int
+    accepted: bool
+    in_progress: bool
+    result_name: str
+
+
+@dataclass(frozen=True, slots=True)
+class StatusReceived:
+    """STATUSTEXT of the autopilot, for the log."""
+
+    severity: int
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class EngageRequested:
+    """Somebody (the command line or a MAVLink command) asks the daemon to take control."""
+
+
+@dataclass(frozen=True, slots=True)
+class ReleaseRequested:
+    """Somebody asks the daemon to give control back."""
+
+    reason: str
+
+
+Event: TypeAlias = (
+    HeartbeatReceived
+    | AttitudeReceived
+    | PositionReceived
+    | TargetReported
+    | ThrottleReported
+    | LandedStateReported
+    | CommandAnswered
+    | StatusReceived
+    | EngageRequested
+    | ReleaseRequested
+)
+
+# --------------------------------------------------------------------------- messages out
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeTarget:
+    """One setpoint. Exactly one of `body_rates` [rad/s] and `attitude` [rad] is given.
+
+    `thrust` is normalised collective thrust 0..1.
+    """
+
+    thrust: float
+    body_rates: Vector3 | None = None
+    attitude: Vector3 | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RequestMessageRates:
+    """Ask for telemetry: event class name -> Hz."""
+
+    attitude_hz: float
+    position_hz: float
+    target_hz: float
+    status_hz: float
+
+
+@dataclass(frozen=True, slots=True)
+class SetMode:
+    """Ask the autopilot for a flight mode."""
+
+    mode: ModeKind
+
+
+@dataclass(frozen=True, slots=True)
+class SetArmed:
+    """Ask the autopilot to arm or to disarm. Never forced."""
+
+    armed: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SetGripper:
+    """Work the payload gripper (MAV_CMD_DO_GRIPPER)."""
+
+    action: Literal["grab", "release"]
+
+
+@dataclass(frozen=True, slots=True)
+class Announce:
+    """A line for people: STATUSTEXT on the wire and a line in the log (50 characters or fewer on the wire)."""
+
+    severity: Severity
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class OwnHeartbeat:
+    """The daemon's own heartbeat (component 191)."""
+
+    state: Literal["standby", "active", "critical"]
+
+
+@dataclass(frozen=True, slots=True)
+class Signals:
+    """Inner signals of one control step, for the log and for live graphs.
+
+    Each tuple is in channel order roll, pitch, yaw, altitude. `time_us` is the event's
+    arrival time; `command` is what was sent (or, in shadow, what would have been).
+    """
+
+    time_us: int
+    state: str
+    reference: tuple[float, ...]
+    reference_rate: tuple[float, ...]
+    measurement: tuple[float, ...]
+    estimate: tuple[float, ...]
+    estimate_rate: tuple[float, ...]
+    disturbance: tuple[float, ...]
+    omega_c: tuple[float, ...]
+    command: tuple[float, ...]
+    applied: tuple[float, ...]
+    saturated: tuple[bool, ...] = field(default=(False, False, False, False))
+    dt: float = 0.0
+
+
+Output: TypeAlias = (
+    AttitudeTarget
+    | RequestMessageRates
+    | SetMode
+    | SetArmed
+    | SetGripper
+    | Announce
+    | OwnHeartbeat
+    | Signals
+)
