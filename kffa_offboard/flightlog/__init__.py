@@ -1,0 +1,1 @@
+"""Recording and reading flights: telemetry logs (.tlog) and the controller's inner signals in them."""

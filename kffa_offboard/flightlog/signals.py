@@ -1,0 +1,132 @@
+"""The controller's inner signals as DEBUG_FLOAT_ARRAY messages, and back as arrays for plotting.
+
+Layout of `data` (name "kffa", array_id 0): nine blocks of four in channel order roll, pitch, yaw,
+altitude (`BLOCKS`), then the index of the state in `STATE_NAMES`, dt [s], and four saturation flags.
+Values are float32 on the wire; `time_usec` is exact. Reading them from a file: `tlog.read_signals`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.offboard.events import Signals
+
+NAME = "kffa"
+ARRAY_ID = 0
+CHANNELS = 4
+BLOCKS = (
+    "reference",
+    "reference_rate",
+    "measurement",
+    "estimate",
+    "estimate_rate",
+    "disturbance",
+    "omega_c",
+    "command",
+    "applied",
+)
+STATE_NAMES = ("waiting", "ready", "engaging", "engaged", "releasing", "failsafe")
+"""`offboard.service.State` in the order of its numbers on the wire."""
+
+_STATE = CHANNELS * len(BLOCKS)
+_DT = _STATE + 1
+_SATURATED = _DT + 1
+_SIZE = 58
+
+
+@dataclass(frozen=True, slots=True)
+class SignalTable:
+    """Signals of a flight, one row for each control step, channels in order roll, pitch, yaw, altitude.
+
+    `time_us` (n,) int64; each block (n, 4): angles [rad], altitude [m], their rates [1/s], `disturbance`
+    in the second derivative of the channel, `omega_c` [rad/s], `command` and `applied` in the unit of the
+    channel's command; `state` (n,) index into `STATE_NAMES`; `dt` (n,) [s]; `saturated` (n, 4).
+    """
+
+    time_us: NDArray[np.int64]
+    reference: NDArray[np.float64]
+    reference_rate: NDArray[np.float64]
+    measurement: NDArray[np.float64]
+    estimate: NDArray[np.float64]
+    estimate_rate: NDArray[np.float64]
+    disturbance: NDArray[np.float64]
+    omega_c: NDArray[np.float64]
+    command: NDArray[np.float64]
+    applied: NDArray[np.float64]
+    state: NDArray[np.int64]
+    dt: NDArray[np.float64]
+    saturated: NDArray[np.bool_]
+
+    @property
+    def time_s(self) -> NDArray[np.float64]:
+        """Seconds since the first row, (n,)."""
+        first = self.time_us[0] if self.time_us.size else 0
+        return np.asarray((self.time_us - first) / 1e6, dtype=float)
+
+
+def to_message(signals: Signals) -> Any:
+    """Signals as a DEBUG_FLOAT_ARRAY message.
+
+    Raises ValueError for a block that has not four values or a state without a number.
+    """
+    data: list[float] = []
+    for name in BLOCKS:
+        block = getattr(signals, name)
+        if len(block) != CHANNELS:
+            raise ValueError(f"signals.{name} has {len(block)} values; {CHANNELS} channels are needed")
+        data += block
+    if signals.state not in STATE_NAMES:
+        raise ValueError(f"signals.state {signals.state!r} is none of {', '.join(STATE_NAMES)}")
+    data += [STATE_NAMES.index(signals.state), signals.dt, *map(float, signals.saturated)]
+    data += [0.0] * (_SIZE - len(data))
+    with np.errstate(over="ignore"):  # what float32 cannot hold is logged as infinite
+        packable = np.asarray(data, dtype=np.float32).tolist()
+    return mavlink.MAVLink_debug_float_array_message(signals.time_us, NAME.encode(), ARRAY_ID, packable)
+
+
+def is_signals(message: Any) -> bool:
+    """True if `message` carries signals of this program."""
+    return bool(
+        message.get_type() == "DEBUG_FLOAT_ARRAY" and message.name == NAME and message.array_id == ARRAY_ID
+    )
+
+
+def from_message(message: Any) -> Signals:
+    """Undo `to_message`, up to float32 rounding."""
+    data = message.data
+    blocks = {
+        name: tuple(data[CHANNELS * number : CHANNELS * (number + 1)]) for number, name in enumerate(BLOCKS)
+    }
+    return Signals(
+        time_us=message.time_usec,
+        state=STATE_NAMES[int(data[_STATE])],
+        saturated=tuple(value != 0.0 for value in data[_SATURATED : _SATURATED + CHANNELS]),
+        dt=data[_DT],
+        **blocks,
+    )
+
+
+def table(messages: Iterable[Any]) -> SignalTable:
+    """Collect signal messages into arrays; no messages give arrays without rows."""
+    times: list[int] = []
+    rows: list[list[float]] = []
+    for message in messages:
+        times.append(message.time_usec)
+        rows.append(message.data)
+    data = np.array(rows, dtype=float).reshape(len(rows), _SIZE)
+    blocks = {
+        name: data[:, CHANNELS * number : CHANNELS * (number + 1)] for number, name in enumerate(BLOCKS)
+    }
+    return SignalTable(
+        time_us=np.array(times, dtype=np.int64),
+        state=data[:, _STATE].astype(np.int64),
+        dt=data[:, _DT],
+        saturated=data[:, _SATURATED : _SATURATED + CHANNELS] != 0.0,
+        **blocks,
+    )

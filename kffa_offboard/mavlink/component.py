@@ -1,0 +1,94 @@
+"""Who we are on the MAVLink network, and frames as bytes.
+
+This file and its neighbours are where pymavlink is used; it has no types, so a message is `Any`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.mavlink.transport import Datagram
+
+Message: TypeAlias = Any
+"""A pymavlink message; which fields it has depends on its type (`get_type()`)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """Our own identity and the one vehicle we listen and talk to (MAVLink system and component ids)."""
+
+    own_system: int = 245
+    own_component: int = 191
+    target_system: int = 1
+    target_component: int = 1
+
+    def from_target(self, message: Message) -> bool:
+        """True if the vehicle's autopilot itself sent `message`."""
+        return bool(
+            message.get_srcSystem() == self.target_system
+            and message.get_srcComponent() == self.target_component
+        )
+
+    def addresses_us(self, system: int, component: int) -> bool:
+        """True if an answer to `system`/`component` is ours; 0 is everybody (or an older MAVLink)."""
+        return system in (0, self.own_system) and component in (0, self.own_component)
+
+
+class Component:
+    """Packs messages as frames of ours: identity, sequence number, checksum."""
+
+    def __init__(self, route: Route) -> None:
+        self._packer = mavlink.MAVLink(None, srcSystem=route.own_system, srcComponent=route.own_component)
+
+    def pack(self, message: Message) -> bytes:
+        """One MAVLink 2 frame; each has the next sequence number (0..255, then 0 again)."""
+        frame = bytes(message.pack(self._packer))
+        self._packer.seq = (self._packer.seq + 1) % 256
+        return frame
+
+
+def _new_parser() -> Any:
+    parser = mavlink.MAVLink(None)
+    parser.robust_parsing = True  # damaged bytes become BAD_DATA messages instead of exceptions
+    return parser
+
+
+class FrameParser:
+    """Finds the messages in what a link received.
+
+    Parameters
+    ----------
+    keeps_frames_whole
+        As the link says. If a frame cannot span datagrams, the rest of a damaged one is forgotten,
+        so that it does not swallow the frame after it; a stream keeps the beginning of a frame until
+        the rest arrives, separately for each source.
+
+    Attributes
+    ----------
+    damaged_bytes
+        How many bytes were not part of a valid frame.
+
+    """
+
+    def __init__(self, keeps_frames_whole: bool) -> None:
+        self._keeps_frames_whole = keeps_frames_whole
+        self._source: Hashable = None
+        self._parser = _new_parser()
+        self.damaged_bytes = 0
+
+    def parse(self, datagram: Datagram) -> list[Message]:
+        """Messages that are complete with this datagram, in order; damage is counted and left out."""
+        if self._keeps_frames_whole or datagram.source != self._source:
+            self._parser = _new_parser()
+            self._source = datagram.source
+        messages: list[Message] = []
+        for message in self._parser.parse_buffer(datagram.data) or []:
+            if message.get_type() == "BAD_DATA":
+                self.damaged_bytes += len(message.data)
+            else:
+                messages.append(message)
+        return messages

@@ -1,0 +1,189 @@
+"""One conversation with a vehicle: what arrives goes to the service, what it answers goes out.
+
+Nothing here waits; `shell.py` decides when. Everything is recorded in the order in which the service
+saw it, with the time that the service was told, so that the log replays to the same commands.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from kffa_offboard.mavlink.commands import EncodingError, is_timesync_request, timesync_answer
+from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
+from kffa_offboard.mavlink.transport import Datagram, Link
+from kffa_offboard.mavlink.vehicle import Vehicle
+from kffa_offboard.offboard.events import (
+    AttitudeTarget,
+    Event,
+    HeartbeatReceived,
+    Output,
+    ReleaseRequested,
+    Signals,
+)
+
+LOG = logging.getLogger(__name__)
+
+Observer: TypeAlias = Callable[[int, Event | Output], None]
+"""Is told every event before and every output after the service, with its time [us]; for status lines."""
+
+
+class OffboardService(Protocol):
+    """What the shell needs of `offboard.service.Service`. Times are integer microseconds."""
+
+    @property
+    def finished(self) -> object | None:
+        """Why there is nothing left to do, or None."""
+
+    def handle(self, time_us: int, event: Event) -> Sequence[Output]:
+        """Take an event; deadlines up to `time_us` come first."""
+
+    def advance(self, time_us: int) -> Sequence[Output]:
+        """Do what is due up to `time_us`."""
+
+    def next_deadline(self) -> int | None:
+        """When something is due without any event; None if nothing is."""
+
+
+class Recorder(Protocol):
+    """What the shell needs of a flight log."""
+
+    def write(self, time_us: int, frame: bytes) -> None:
+        """Record one MAVLink frame, received or sent."""
+
+    def write_signals(self, signals: Signals) -> None:
+        """Record the controller's inner signals."""
+
+
+@dataclass(slots=True)
+class Counters:
+    """What has gone by. Telemetry: messages of the target. Commands: SET_ATTITUDE_TARGET."""
+
+    telemetry_received: int = 0
+    commands_sent: int = 0
+    frames_sent: int = 0
+    frames_dropped: int = 0
+    bytes_received: int = 0
+
+
+class Session:
+    """Joins link, translation, service and log.
+
+    Parameters
+    ----------
+    service, link
+        As the protocols say.
+    route
+        Who we are and who the vehicle is.
+    recorder, observer
+        Where frames and signals are recorded; who is told of events and outputs. Optional.
+    on_connected
+        Events handed to the service right after the vehicle's first heartbeat.
+
+    """
+
+    def __init__(
+        self,
+        service: OffboardService,
+        link: Link,
+        route: Route,
+        *,
+        recorder: Recorder | None = None,
+        observer: Observer | None = None,
+        on_connected: Sequence[Event] = (),
+    ) -> None:
+        self.service = service
+        self.link = link
+        self.route = route
+        self.counters = Counters()
+        self.connected = False
+        self.refusal: str | None = None
+        self.heard: set[tuple[int, int]] = set()
+        self._component = Component(route)
+        self._vehicle = Vehicle(route)
+        self._parser = FrameParser(link.keeps_frames_whole)
+        self._recorder = recorder
+        self._observer = observer
+        self._on_connected = tuple(on_connected)
+
+    def read(self, datagram: Datagram) -> list[Message]:
+        """Messages in a datagram. The first one of the target ties the link to its sender."""
+        self.counters.bytes_received += len(datagram.data)
+        messages = self._parser.parse(datagram)
+        senders = {(message.get_srcSystem(), message.get_srcComponent()) for message in messages}
+        self.heard |= senders - {(0, 0)}  # what pymavlink cannot decode has no sender
+        if any(self.route.from_target(message) for message in messages):
+            self.link.lock(datagram.source)
+        return messages
+
+    def handle(self, time_us: int, message: Message) -> None:
+        """Record one message and tell the service what it says."""
+        self._record(time_us, bytes(message.get_msgbuf()))
+        if self.route.from_target(message):
+            self.counters.telemetry_received += 1
+        for event in self._vehicle.decode(message):
+            self.tell(time_us, event)
+            if isinstance(event, HeartbeatReceived) and not self.connected:
+                self.connected = True
+                for waiting in self._on_connected:
+                    self.tell(time_us, waiting)
+        for request in self._vehicle.requests():
+            self._transmit(time_us, request)
+
+    def tell(self, time_us: int, event: Event) -> None:
+        """Hand an event to the service and send what it answers."""
+        self._observe(time_us, event)
+        self._dispatch(time_us, self.service.handle(time_us, event))
+
+    def advance(self, time_us: int) -> None:
+        """Let the service do what is due, and send it."""
+        self._dispatch(time_us, self.service.advance(time_us))
+
+    def answer_timesync(self, time_us: int, request: Message, own_time_ns: int) -> None:
+        """Answer a TIMESYNC request of the target; others are not ours to answer."""
+        if is_timesync_request(request) and self.route.from_target(request):
+            self._transmit(time_us, timesync_answer(request, own_time_ns))
+
+    @property
+    def damaged_bytes(self) -> int:
+        """Bytes received that were no part of a valid frame."""
+        return self._parser.damaged_bytes
+
+    def _dispatch(self, time_us: int, outputs: Sequence[Output]) -> None:
+        refusal: str | None = None
+        for output in outputs:
+            self._observe(time_us, output)
+            if isinstance(output, Signals) and self._recorder is not None:
+                self._recorder.write_signals(output)
+            try:
+                messages = self._vehicle.encode(output, time_us)
+            except EncodingError as error:
+                refusal = str(error)
+                continue
+            for message in messages:
+                sent = self._transmit(time_us, message)
+                self.counters.commands_sent += sent and isinstance(output, AttitudeTarget)
+        if refusal is not None and self.refusal is None:
+            # A service that asks for something unsendable must not keep control: once, it has to let go.
+            self.refusal = refusal
+            LOG.error("refused to send: %s", refusal)
+            self.tell(time_us, ReleaseRequested(refusal))
+
+    def _transmit(self, time_us: int, message: Message) -> bool:
+        frame = self._component.pack(message)
+        if not self.link.send(frame):
+            self.counters.frames_dropped += 1
+            return False
+        self.counters.frames_sent += 1
+        self._record(time_us, frame)
+        return True
+
+    def _record(self, time_us: int, frame: bytes) -> None:
+        if self._recorder is not None:
+            self._recorder.write(time_us, frame)
+
+    def _observe(self, time_us: int, item: Event | Output) -> None:
+        if self._observer is not None:
+            self._observer(time_us, item)

@@ -1,0 +1,206 @@
+"""The loop around the service: in real time, or in lock-step with a simulated vehicle.
+
+Real time
+    The clock is monotonic. The loop sleeps until something arrives or the service's next deadline.
+
+Lock-step
+    The clock is the vehicle's: a TIMESYNC request (tc1 = 0) of the target is a barrier, its ts1 the
+    simulated time in ns. Messages wait until the barrier after them and are handled then, in order of
+    arrival, all at the barrier's time; then the service does what is due, everything is sent, and
+    last comes the answer (tc1 = ts1), upon which the vehicle moves on. No wall time enters, so two
+    runs with one seed send the same bytes.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from dataclasses import dataclass
+
+from kffa_offboard.errors import UserError
+from kffa_offboard.mavlink.commands import heartbeat, is_timesync_request
+from kffa_offboard.mavlink.component import Component, Message
+from kffa_offboard.mavlink.session import Counters, Session
+from kffa_offboard.mavlink.transport import Clock
+from kffa_offboard.offboard.events import OwnHeartbeat, ReleaseRequested
+
+LONGEST_SLEEP_S = 0.1
+"""How late a stop request may be noticed."""
+
+RELEASE_LIMIT_S = 3.0
+"""How long the service may take to let go after a stop request."""
+
+BARRIER_LIMIT_S = 5.0
+"""How long a lock-step vehicle may take to its next barrier, in wall time."""
+
+HELLO_PERIOD_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class RunResult:
+    """How a run ended.
+
+    `finished` is the service's own reason (None if it was stopped before it had one), `stopped` tells
+    whether somebody asked it to stop, `refusal` what it asked to send that must not be sent.
+    """
+
+    counters: Counters
+    finished: object | None
+    stopped: bool
+    refusal: str | None
+
+
+def real_time_clock() -> Clock:
+    """Microseconds that never go back, counted so that they start as UNIX time (for the log)."""
+    offset_us = time.time_ns() // 1000 - time.monotonic_ns() // 1000
+    return lambda: time.monotonic_ns() // 1000 + offset_us
+
+
+def run_real_time(
+    session: Session, clock: Clock, stop: threading.Event, *, connect_timeout_s: float = 10.0
+) -> RunResult:
+    """Drive the service until it has finished, or has let go after `stop` was set (3 s at most).
+
+    `clock` must be the link's. Raises UserError if no vehicle answers within `connect_timeout_s`, if
+    it is not supported, or if the link is lost.
+    """
+    started_us = clock()
+    let_go_by_us: int | None = None
+    while session.service.finished is None:
+        now_us = clock()
+        if stop.is_set() and let_go_by_us is None:
+            let_go_by_us = now_us + round(RELEASE_LIMIT_S * 1e6) if session.connected else now_us
+            session.tell(now_us, ReleaseRequested("stop requested"))
+            continue
+        if let_go_by_us is not None and now_us >= let_go_by_us:
+            break
+        if not session.connected and now_us - started_us >= connect_timeout_s * 1e6:
+            raise no_vehicle(session, connect_timeout_s)
+        _receive(session, _time_to_sleep(session, now_us))
+        if session.service.finished is None:
+            session.advance(clock())
+    return RunResult(session.counters, session.service.finished, stop.is_set(), session.refusal)
+
+
+def _time_to_sleep(session: Session, now_us: int) -> float:
+    deadline_us = session.service.next_deadline()
+    if deadline_us is None:
+        return LONGEST_SLEEP_S
+    return min(max((deadline_us - now_us) / 1e6, 0.0), LONGEST_SLEEP_S)
+
+
+def _receive(session: Session, timeout_s: float) -> None:
+    for datagram in session.link.receive(timeout_s):
+        for message in session.read(datagram):
+            session.handle(datagram.time_us, message)
+            session.answer_timesync(datagram.time_us, message, datagram.time_us * 1000)
+
+
+def run_lock_step(
+    session: Session, clock: Clock, stop: threading.Event, *, connect_timeout_s: float = 10.0
+) -> RunResult:
+    """Drive the service barrier by barrier until it has finished, or has let go after `stop` was set.
+
+    `clock` is wall time, for noticing that the vehicle has stopped; the service never sees it.
+    Raises UserError as `run_real_time` does, and if barriers stop coming or their time goes back.
+    """
+    loop = _LockStep(session, stop)
+    waiting_since_us = clock()
+    hello_due_us = waiting_since_us
+    while not loop.ended:
+        now_us = clock()
+        limit_s = BARRIER_LIMIT_S if session.connected else connect_timeout_s
+        if now_us - waiting_since_us >= limit_s * 1e6:
+            raise stopped_clock(session) if session.connected else no_vehicle(session, connect_timeout_s)
+        if stop.is_set() and loop.time_us is None:
+            break
+        if loop.time_us is None and now_us >= hello_due_us:
+            loop.say_hello()
+            hello_due_us = now_us + round(HELLO_PERIOD_S * 1e6)
+        for datagram in session.link.receive(LONGEST_SLEEP_S):
+            for message in session.read(datagram):
+                if loop.take(message) and session.connected:
+                    waiting_since_us = clock()
+    return RunResult(session.counters, session.service.finished, stop.is_set(), session.refusal)
+
+
+class _LockStep:
+    """The messages since the last barrier, and the barrier itself."""
+
+    def __init__(self, session: Session, stop: threading.Event) -> None:
+        self._session = session
+        self._stop = stop
+        self._waiting: list[Message] = []
+        self._let_go_by_us: int | None = None
+        self.time_us: int | None = None
+        self.ended = False
+
+    def say_hello(self) -> None:
+        """Let a vehicle that waits to be addressed know where we are.
+
+        How often depends on wall time, so these frames stand outside the conversation: they take no
+        sequence number from it and are not recorded.
+        """
+        frame = Component(self._session.route).pack(heartbeat(OwnHeartbeat("standby")))
+        self._session.link.send(frame)
+
+    def take(self, message: Message) -> bool:
+        """Keep a message for the barrier, or pass the barrier (True)."""
+        if self.ended:
+            return False
+        if not (is_timesync_request(message) and self._session.route.from_target(message)):
+            self._waiting.append(message)
+            return False
+        self._pass(message)
+        return True
+
+    def _pass(self, request: Message) -> None:
+        session, time_us = self._session, request.ts1 // 1000
+        if self.time_us is not None and time_us < self.time_us:
+            raise UserError(
+                f"lock-step: the vehicle's time went back from {self.time_us / 1e6:.3f} s to "
+                f"{time_us / 1e6:.3f} s; it was restarted, so restart the daemon too"
+            )
+        self.time_us = time_us
+        waiting, self._waiting = self._waiting, []
+        for message in waiting:
+            session.handle(time_us, message)
+        if self._stop.is_set() and self._let_go_by_us is None:
+            self._let_go_by_us = time_us + round(RELEASE_LIMIT_S * 1e6)
+            session.tell(time_us, ReleaseRequested("stop requested"))
+        session.advance(time_us)
+        session.handle(time_us, request)
+        # Not 0, which would make the answer look like another request.
+        session.answer_timesync(time_us, request, max(request.ts1, 1))
+        overdue = self._let_go_by_us is not None and time_us >= self._let_go_by_us
+        self.ended = session.service.finished is not None or overdue
+
+
+def no_vehicle(session: Session, timeout_s: float) -> UserError:
+    """Say in one line that nobody answered, and what was heard instead."""
+    route = session.route
+    hint = "is it running, and does it send there?"
+    if (route.target_system, route.target_component) in session.heard:
+        hint = f"system {route.target_system} sends, but no HEARTBEAT; does its stream include it?"
+    elif session.heard:
+        others = ", ".join(f"{system}/{component}" for system, component in sorted(session.heard))
+        hint = (
+            f"heard only {others} (system/component), not {route.target_system}/{route.target_component}; "
+            "is link.target_system right?"
+        )
+    elif session.counters.bytes_received:
+        hint = (
+            f"{session.counters.bytes_received} bytes arrived, but they are not MAVLink; "
+            "is the port (serial: the baud rate) right?"
+        )
+    elif session.link.trouble:
+        hint = f"{hint} ({session.link.trouble})"
+    return UserError(f"no vehicle answered on {session.link.name} for {timeout_s:g} s; {hint}")
+
+
+def stopped_clock(session: Session) -> UserError:
+    """Say in one line that the lock-step vehicle no longer asks for our answer."""
+    return UserError(
+        f"lock-step: no TIMESYNC request on {session.link.name} for {BARRIER_LIMIT_S:g} s; "
+        "is the simulated vehicle still running, and in lock-step?"
+    )

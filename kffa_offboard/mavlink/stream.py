@@ -1,0 +1,113 @@
+"""Byte streams (TCP, serial): what they share. Frames may arrive in pieces and must not leave in pieces."""
+
+from __future__ import annotations
+
+import select
+from abc import ABC, abstractmethod
+from collections.abc import Hashable
+
+from kffa_offboard.mavlink.transport import Clock, Datagram
+
+READ_SIZE = 4096
+UNSENT_LIMIT = 2048
+"""Bytes that may wait to be sent. Beyond it new frames are dropped: an old setpoint helps nobody."""
+
+
+class StreamLink(ABC):
+    """A byte stream that never makes the caller wait longer than it asked for (see `transport.Link`)."""
+
+    keeps_frames_whole = False
+
+    def __init__(self, name: str, clock: Clock) -> None:
+        self.name = name
+        self.trouble = ""
+        self._clock = clock
+        self._unsent = bytearray()
+        self._locked = False
+        self._connection = 0  # numbers the connections: bytes of an old one are not continued
+
+    @abstractmethod
+    def _is_open(self) -> bool:
+        """Is there a stream to read from and write to?"""
+
+    @abstractmethod
+    def _connect(self, timeout_s: float) -> None:
+        """Spend at most `timeout_s` on getting a stream."""
+
+    @abstractmethod
+    def _file_descriptor(self) -> int:
+        """Descriptor of the stream, for select."""
+
+    @abstractmethod
+    def _read(self) -> bytes:
+        """Read what is there, without waiting; empty bytes or OSError mean that the other side is gone."""
+
+    @abstractmethod
+    def _write(self, data: bytes) -> int:
+        """Write what fits, without waiting; return how much did."""
+
+    @abstractmethod
+    def _lost(self, reason: str) -> None:
+        """The other side is gone: raise LinkLost, or get ready for the next one."""
+
+    @abstractmethod
+    def close(self) -> None:
+        """See `transport.Link`."""
+
+    def lock(self, source: Hashable) -> None:
+        """See `transport.Link`. A stream has only one sender; losing it is now losing the vehicle."""
+        self._locked = True
+
+    def receive(self, timeout_s: float) -> list[Datagram]:
+        """See `transport.Link`."""
+        if not self._is_open():
+            self._connect(timeout_s)
+            return []
+        descriptor = self._file_descriptor()
+        readable, writable, _ = select.select(
+            [descriptor], [descriptor] if self._unsent else [], [], max(timeout_s, 0.0)
+        )
+        if writable:
+            self._flush()
+        if not readable:
+            return []
+        try:
+            data = self._read()
+        except BlockingIOError:
+            return []
+        except OSError as error:
+            self._lost((error.strerror or str(error)).lower())
+            return []
+        if not data:
+            self._lost("closed by the other side")
+            return []
+        self.trouble = ""
+        return [Datagram(self._clock(), data, self._connection)]
+
+    def send(self, data: bytes) -> bool:
+        """See `transport.Link`. What does not fit now leaves with the next call, whole frames only."""
+        if not self._is_open():
+            return False
+        if self._unsent:
+            self._flush()
+        if len(self._unsent) + len(data) > UNSENT_LIMIT:
+            self.trouble = "the line is too slow for this traffic, or nobody reads it"
+            return False
+        self._unsent += data
+        self._flush()
+        return True
+
+    def _flush(self) -> None:
+        try:
+            _, writable, _ = select.select([], [self._file_descriptor()], [], 0.0)
+            if writable and self._unsent:
+                del self._unsent[: self._write(bytes(self._unsent))]
+        except BlockingIOError:
+            return
+        except OSError as error:
+            self._lost((error.strerror or str(error)).lower())
+
+    def _start_connection(self) -> None:
+        """Forget what belonged to the connection before."""
+        self._unsent.clear()
+        self._connection += 1

@@ -1,0 +1,63 @@
+"""What every link offers, whatever it is made of: bytes in with their arrival time, bytes out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import Protocol, TypeAlias
+
+from kffa_offboard.errors import UserError
+
+Clock: TypeAlias = Callable[[], int]
+"""Tells the time in integer microseconds and never goes back."""
+
+
+class LinkLost(UserError):
+    """The other side is gone for good: serial adapter unplugged, TCP connection closed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Datagram:
+    """Bytes that arrived together.
+
+    `time_us` is the arrival time on the link's clock; `source` tells senders apart (each has its own
+    stream of frames).
+    """
+
+    time_us: int
+    data: bytes
+    source: Hashable
+
+
+class Link(Protocol):
+    """A way to the vehicle. Not safe to share between threads."""
+
+    @property
+    def name(self) -> str:
+        """The link's URL, with the port that was really bound."""
+
+    @property
+    def keeps_frames_whole(self) -> bool:
+        """True if a frame never spans two datagrams (UDP), False for a byte stream."""
+
+    @property
+    def trouble(self) -> str:
+        """Why nothing may be arriving ("connection refused"); empty if nothing is known to be wrong."""
+
+    def receive(self, timeout_s: float) -> list[Datagram]:
+        """Wait at most `timeout_s` for data, then return what is there, in order of arrival.
+
+        Raises LinkLost if nothing can ever arrive again.
+        """
+
+    def send(self, data: bytes) -> bool:
+        """Send whole frames without waiting. False if they were dropped (nobody there yet, buffers full).
+
+        Raises LinkLost if nothing can ever be sent again.
+        """
+
+    def lock(self, source: Hashable) -> None:
+        """From now on listen to `source` alone and answer it alone."""
+
+    def close(self) -> None:
+        """Give the port back. May be called twice."""

@@ -1,0 +1,123 @@
+"""UDP links: `udpin` binds and answers whoever sends, `udpout` sends to one place and hears only it."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import select
+import socket
+from collections.abc import Hashable
+
+from kffa_offboard.errors import UserError
+from kffa_offboard.mavlink.address import NetworkAddress, resolve
+from kffa_offboard.mavlink.transport import Clock, Datagram
+
+LOG = logging.getLogger(__name__)
+
+DATAGRAM_SIZE = 65535
+DATAGRAMS_AT_ONCE = 256
+"""One `receive` returns at most so many, so that a flood of traffic cannot keep control from running."""
+
+RECEIVE_BUFFER = 1 << 20
+
+
+def _open_socket(address: NetworkAddress) -> socket.socket:
+    family, place = resolve(address)
+    opened = socket.socket(family, socket.SOCK_DGRAM)
+    try:
+        opened.setblocking(False)
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        if address.listens:
+            opened.bind(place)
+        else:
+            # Connected, the kernel drops what anybody else sends to our port.
+            opened.connect(place)
+    except OSError as error:
+        opened.close()
+        raise explain(address, error) from error
+    return opened
+
+
+def explain(address: NetworkAddress, error: OSError) -> UserError:
+    """Say in one line why a socket could not be opened, and what to do."""
+    if error.errno == errno.EADDRINUSE:
+        return UserError(
+            f"link {address.url!r}: port {address.port} is busy: another program listens there "
+            "(a ground station, a second daemon?); stop it or choose another port"
+        )
+    if error.errno == errno.EADDRNOTAVAIL:
+        return UserError(
+            f"link {address.url!r}: {address.host} is not an address of this machine; "
+            "listen on one of its own, such as 127.0.0.1"
+        )
+    if error.errno in (errno.EACCES, errno.EPERM):
+        return UserError(
+            f"link {address.url!r}: not allowed to use port {address.port}; choose one above 1023"
+        )
+    return UserError(f"link {address.url!r}: cannot be opened: {error.strerror}; check host and port")
+
+
+class UdpLink:
+    """One UDP socket (see `transport.Link`).
+
+    A `udpin` link has nobody to answer until it is locked onto the sender that turned out to be the
+    vehicle. Lost datagrams, also those that find nobody listening, are not errors here: whether
+    silence is serious is the service's to judge.
+    """
+
+    keeps_frames_whole = True
+
+    def __init__(self, address: NetworkAddress, clock: Clock) -> None:
+        self._socket = _open_socket(address)
+        self._clock = clock
+        self._listens = address.listens
+        self._peer: Hashable | None = None
+        self.trouble = ""
+        port = int(self._socket.getsockname()[1]) if address.listens else address.port
+        self.name = NetworkAddress(address.kind, address.host, port).url
+
+    def receive(self, timeout_s: float) -> list[Datagram]:
+        """See `transport.Link`. Datagrams of others than the locked sender are dropped."""
+        select.select([self._socket], [], [], max(timeout_s, 0.0))
+        datagrams: list[Datagram] = []
+        for _ in range(DATAGRAMS_AT_ONCE):
+            try:
+                data, source = self._socket.recvfrom(DATAGRAM_SIZE)
+            except BlockingIOError:
+                break
+            except OSError as error:
+                self._note(error)
+                continue
+            if self._peer is None or source == self._peer:
+                datagrams.append(Datagram(self._clock(), data, source))
+                self.trouble = ""
+        return datagrams
+
+    def send(self, data: bytes) -> bool:
+        """See `transport.Link`."""
+        try:
+            if not self._listens:
+                self._socket.send(data)
+            elif isinstance(self._peer, tuple):
+                self._socket.sendto(data, self._peer)
+            else:
+                return False
+        except OSError as error:
+            self._note(error)
+            return False
+        return True
+
+    def _note(self, error: OSError) -> None:
+        """Remember why the last datagram was lost; say it once, not for each."""
+        reason = (error.strerror or str(error)).lower()
+        if reason != self.trouble:
+            LOG.info("%s: %s", self.name, reason)
+        self.trouble = reason
+
+    def lock(self, source: Hashable) -> None:
+        """See `transport.Link`."""
+        self._peer = source
+
+    def close(self) -> None:
+        """See `transport.Link`."""
+        self._socket.close()

@@ -1,0 +1,120 @@
+"""The one vehicle we fly: finds out from its heartbeat what it is, then translates both ways."""
+
+from __future__ import annotations
+
+import logging
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.errors import UserError
+from kffa_offboard.mavlink import commands
+from kffa_offboard.mavlink.ardupilot import ArduPilot
+from kffa_offboard.mavlink.autopilot import Autopilot
+from kffa_offboard.mavlink.commands import EncodingError
+from kffa_offboard.mavlink.component import Message, Route
+from kffa_offboard.mavlink.px4 import Px4
+from kffa_offboard.mavlink.telemetry import TelemetryDecoder
+from kffa_offboard.offboard.events import Announce, Event, Firmware, Output, OwnHeartbeat, Signals
+
+LOG = logging.getLogger(__name__)
+
+_AUTOPILOTS: dict[int, type[Autopilot]] = {
+    mavlink.MAV_AUTOPILOT_PX4: Px4,
+    mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: ArduPilot,
+}
+MULTIROTORS = (
+    mavlink.MAV_TYPE_QUADROTOR,
+    mavlink.MAV_TYPE_COAXIAL,
+    mavlink.MAV_TYPE_HEXAROTOR,
+    mavlink.MAV_TYPE_OCTOROTOR,
+    mavlink.MAV_TYPE_TRICOPTER,
+    mavlink.MAV_TYPE_DODECAROTOR,
+    mavlink.MAV_TYPE_DECAROTOR,
+    mavlink.MAV_TYPE_GENERIC_MULTIROTOR,
+)
+
+
+class Vehicle:
+    """Translation between the target's messages and the service's vocabulary.
+
+    Whatever other systems and components say is ignored, their heartbeats above all: a ground
+    station or a gimbal must not be taken for the autopilot. Nothing is decoded before the first
+    heartbeat has told which firmware it is.
+    """
+
+    def __init__(self, route: Route) -> None:
+        self._route = route
+        self._autopilot: Autopilot | None = None
+        self._identity: tuple[int, int] | None = None
+        self._text_id = 0
+
+    @property
+    def firmware(self) -> Firmware | None:
+        """What the vehicle runs; None before its first heartbeat."""
+        return None if self._autopilot is None else self._autopilot.firmware
+
+    def decode(self, message: Message) -> list[Event]:
+        """Events of one message from anybody.
+
+        Raises UserError if the target is not a multirotor with PX4 or ArduPilot.
+        """
+        if not self._route.from_target(message):
+            return []
+        if message.get_type() == "HEARTBEAT" and not self._is_ours(message):
+            return []
+        return [] if self._autopilot is None else self._autopilot.decode(message)
+
+    def requests(self) -> list[Message]:
+        """Messages to send that the last decoded message gave rise to."""
+        return [] if self._autopilot is None else self._autopilot.requests()
+
+    def encode(self, output: Output, time_us: int) -> list[Message]:
+        """Messages for an output; none for `Signals`, which belong in the log.
+
+        Raises EncodingError if it must not be sent, or cannot be yet.
+        """
+        match output:
+            case Signals():
+                return []
+            case OwnHeartbeat():
+                return [commands.heartbeat(output)]
+            case Announce():
+                self._text_id = self._text_id % 65535 + 1
+                return commands.status_text(output, self._text_id)
+        if self._autopilot is None:
+            raise EncodingError(f"{type(output).__name__} before the vehicle's first heartbeat; not sent")
+        return self._autopilot.encode(output, time_us)
+
+    def _is_ours(self, heartbeat: Message) -> bool:
+        """Recognise the vehicle, at its first heartbeat for good."""
+        identity = (heartbeat.autopilot, heartbeat.type)
+        if self._identity is None:
+            self._check_supported(heartbeat)
+            self._autopilot = _AUTOPILOTS[heartbeat.autopilot](self._route, TelemetryDecoder())
+            self._identity = identity
+        elif identity != self._identity:
+            LOG.warning(
+                "ignoring a heartbeat of %s %s: it has the vehicle's own system and component id",
+                _enum_name("MAV_AUTOPILOT", heartbeat.autopilot),
+                _enum_name("MAV_TYPE", heartbeat.type),
+            )
+        return identity == self._identity
+
+    def _check_supported(self, heartbeat: Message) -> None:
+        where = f"system {self._route.target_system} component {self._route.target_component}"
+        if heartbeat.autopilot not in _AUTOPILOTS:
+            name = _enum_name("MAV_AUTOPILOT", heartbeat.autopilot)
+            raise UserError(
+                f"{where} runs autopilot {name}, which is not supported; "
+                "kffa-offboard flies PX4 and ArduPilot (is link.target_system right?)"
+            )
+        if heartbeat.type not in MULTIROTORS:
+            raise UserError(
+                f"{where} is a {_enum_name('MAV_TYPE', heartbeat.type)}, which is not supported; "
+                "kffa-offboard flies multirotors only"
+            )
+
+
+def _enum_name(enum: str, value: int) -> str:
+    entry = mavlink.enums[enum].get(value)
+    return f"{enum} {value}" if entry is None else str(entry.name).removeprefix(f"{enum}_")

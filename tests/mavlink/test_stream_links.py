@@ -1,0 +1,216 @@
+"""TCP on loopback and serial over a pseudo-terminal, with scripted peers."""
+
+import contextlib
+import itertools
+import os
+import socket
+import tty
+
+import pytest
+
+from kffa_offboard.errors import UserError
+from kffa_offboard.mavlink.component import FrameParser
+from kffa_offboard.mavlink.link import open_link
+from kffa_offboard.mavlink.transport import LinkLost
+
+
+@pytest.fixture
+def clock():
+    return itertools.count(0, 1000).__next__
+
+
+@pytest.fixture
+def listener():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.settimeout(5.0)
+        yield server
+
+
+@pytest.fixture
+def client(listener, clock):
+    link = open_link(f"tcp:127.0.0.1:{listener.getsockname()[1]}", clock)
+    with contextlib.closing(link):
+        yield link
+
+
+@pytest.fixture
+def connected(client, listener):
+    """A connected tcp link and the vehicle's end."""
+    client.receive(0.01)
+    vehicle, _ = listener.accept()
+    vehicle.settimeout(5.0)
+    with vehicle:
+        yield client, vehicle
+
+
+def test_bytes_go_both_ways(connected):
+    link, vehicle = connected
+    vehicle.sendall(b"telemetry")
+    assert [datagram.data for datagram in link.receive(5.0)] == [b"telemetry"]
+    assert link.send(b"command")
+    assert vehicle.recv(100) == b"command"
+
+
+def test_a_frame_that_arrives_in_pieces_is_one_message(connected, autopilot):
+    link, vehicle = connected
+    parser = FrameParser(link.keeps_frames_whole)
+    frame = autopilot.pack(autopilot.attitude(77))
+    found = []
+    for byte in frame:
+        vehicle.sendall(bytes([byte]))
+        for datagram in link.receive(5.0):
+            found += parser.parse(datagram)
+    assert [message.time_boot_ms for message in found] == [77]
+    assert parser.damaged_bytes == 0
+
+
+def test_a_vehicle_that_is_not_up_yet_is_tried_again(clock):
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        place = server.getsockname()
+    with contextlib.closing(open_link(f"tcp:127.0.0.1:{place[1]}", clock)) as link:
+        assert link.receive(0.001) == []
+        assert link.trouble == "connection refused"
+        assert not link.send(b"x")
+        with socket.create_server(place) as server:
+            link.receive(1.0)
+            server.settimeout(5.0)
+            vehicle, _ = server.accept()
+            with vehicle:
+                vehicle.sendall(b"up")
+                assert [datagram.data for datagram in link.receive(5.0)] == [b"up"]
+
+
+def test_a_closed_connection_is_a_clear_error(connected):
+    link, vehicle = connected
+    vehicle.close()
+    with pytest.raises(LinkLost, match=r"connection lost .closed by the other side.; is the vehicle still"):
+        link.receive(5.0)
+
+
+def test_a_vehicle_that_does_not_read_costs_frames_and_never_time(connected, autopilot):
+    link, _ = connected
+    frame = autopilot.pack(autopilot.attitude())
+    sent = 0
+    while link.send(frame):
+        sent += 1
+        assert sent < 100_000
+    assert not link.send(frame)
+    assert "too slow" in link.trouble
+
+
+def test_what_did_not_fit_follows_when_there_is_room_and_frames_stay_whole(connected, autopilot):
+    link, vehicle = connected
+    frame = autopilot.pack(autopilot.attitude())
+    sent = 0
+    while link.send(frame):
+        sent += 1
+    received = bytearray()
+    while len(received) < sent * len(frame):
+        received += vehicle.recv(1 << 16)
+        link.receive(0.0)
+    assert bytes(received) == frame * sent
+
+
+@pytest.fixture
+def server_link(clock):
+    with contextlib.closing(open_link("tcpin:127.0.0.1:0", clock)) as link:
+        yield link
+
+
+def call(link):
+    return socket.create_connection(("127.0.0.1", int(link.name.rpartition(":")[2])), timeout=5.0)
+
+
+def test_a_listening_link_answers_whoever_connected(server_link):
+    assert server_link.receive(0.0) == []
+    assert not server_link.send(b"x")
+    with call(server_link) as vehicle:
+        vehicle.sendall(b"hello")
+        assert server_link.receive(5.0) == []  # connects
+        assert [datagram.data for datagram in server_link.receive(5.0)] == [b"hello"]
+        assert server_link.send(b"answer")
+        assert vehicle.recv(100) == b"answer"
+
+
+def test_a_caller_that_was_not_the_vehicle_may_leave_and_the_next_one_starts_afresh(server_link):
+    with call(server_link) as stranger:
+        stranger.sendall(b"x")
+        assert server_link.receive(5.0) == []  # connects
+        (first,) = server_link.receive(5.0)
+    assert server_link.receive(5.0) == []
+    with call(server_link) as vehicle:
+        vehicle.sendall(b"y")
+        assert server_link.receive(5.0) == []
+        (second,) = server_link.receive(5.0)
+    assert first.source != second.source
+
+
+def test_losing_the_vehicle_on_a_listening_link_is_a_clear_error(server_link):
+    with call(server_link) as vehicle:
+        vehicle.sendall(b"x")
+        assert server_link.receive(5.0) == []  # connects
+        (datagram,) = server_link.receive(5.0)
+        server_link.lock(datagram.source)
+    with pytest.raises(LinkLost, match="connection lost"):
+        server_link.receive(5.0)
+
+
+def test_a_busy_tcp_port_is_explained(listener, clock):
+    port = listener.getsockname()[1]
+    with pytest.raises(UserError, match=f"port {port} is busy"):
+        open_link(f"tcpin:127.0.0.1:{port}", clock)
+
+
+# ---------------------------------------------------------------------- serial
+
+
+@pytest.fixture
+def terminal():
+    """A pseudo-terminal: our end as the autopilot, and the name of the serial device."""
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    name = os.ttyname(slave)
+    yield master, name
+    for descriptor in (master, slave):
+        with contextlib.suppress(OSError):
+            os.close(descriptor)
+
+
+@pytest.fixture
+def serial_link(terminal, clock):
+    with contextlib.closing(open_link(f"serial:{terminal[1]}:57600", clock)) as link:
+        yield link
+
+
+def test_serial_bytes_go_both_ways(serial_link, terminal):
+    master, _ = terminal
+    os.write(master, b"\xfd\x00\x11telemetry")
+    assert b"".join(d.data for d in serial_link.receive(5.0)) == b"\xfd\x00\x11telemetry"
+    assert serial_link.send(b"\xfd\x00\x11command")
+    assert os.read(master, 100) == b"\xfd\x00\x11command"
+    assert serial_link.receive(0.0) == []
+
+
+def test_an_unplugged_serial_device_is_a_clear_error(serial_link, terminal):
+    master, name = terminal
+    os.close(master)
+    with pytest.raises(LinkLost, match=f"{name} stopped answering .*; was it unplugged"):
+        serial_link.receive(5.0)
+    assert not serial_link.send(b"x")
+    with pytest.raises(LinkLost, match="plug it in"):
+        serial_link.receive(5.0)
+
+
+def test_a_missing_device_is_named(clock):
+    with pytest.raises(UserError, match="no such device '/dev/no-such-port'; is it plugged in"):
+        open_link("serial:/dev/no-such-port:57600", clock)
+
+
+def test_something_that_is_no_serial_device_is_refused(clock):
+    with pytest.raises(UserError, match="cannot open '/dev/null': it is not a serial device"):
+        open_link("serial:/dev/null:57600", clock)
+
+
+def test_a_device_in_use_is_refused(serial_link, terminal, clock):
+    with pytest.raises(UserError, match="another program has it open"):
+        open_link(f"serial:{terminal[1]}:57600", clock)
