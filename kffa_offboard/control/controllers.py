@@ -88,7 +88,8 @@ class ControllerInput:
     reference : wanted output; angles in any turn
     measurement : measured output; entries that are not fresh are not read
     fresh : channels with a new measurement
-    measured_rate : measured rate of the output, read by the PIDs only; None differentiates
+    measured_rate : measured rate of the output; the PIDs differentiate without it, the Kalman filter fuses it
+        if its `rate_variance` is given
     """
 
     reference: Array
@@ -191,7 +192,14 @@ def _estimate(
     filtered = measurement
     if parameters.kalman is not None and state.kalman is not None:
         filter_state, filtered = kalman.step(
-            parameters.kalman, parameters.model, state.kalman, acted, measurement, inputs.fresh, dt
+            parameters.kalman,
+            parameters.model,
+            state.kalman,
+            acted,
+            measurement,
+            inputs.fresh,
+            dt,
+            inputs.measured_rate,
         )
     baseline = state.pid
     if parameters.pid is not None:

@@ -33,7 +33,7 @@ class DesignSettings:
     acceleration_feedforward : share of the reference's acceleration that the law adds (0 is eq 25 as printed)
     use_differentiator : False gives the law the reference as it is
     error_scale, error_rate_scale, omega_c_range : fuzzy scaling (`fuzzy.FuzzyParameters`)
-    measurement_variance, disturbance_intensity : Kalman filter (`kalman.KalmanParameters`)
+    measurement_variance, rate_variance, disturbance_intensity : Kalman filter (`kalman.KalmanParameters`)
     pid_gains : (3, 4) kp, ki, kd; None puts three poles at w = omega_c / 2: 3 w^2, w^3, 3 w
         (at omega_c itself the delays that LADRC looks ahead over make a PID unstable)
     hand_gains : (5, 4) kp, kd, l1, l2, l3 of the WB-LADRC; None takes what a person arrives at by hand: the
@@ -65,6 +65,7 @@ class DesignSettings:
     rules: fuzzy.RuleBase = "even"
     measurement_variance: Array = field(default_factory=lambda: np.full(4, kalman.MEASUREMENT_VARIANCE))
     disturbance_intensity: Array = field(default_factory=lambda: np.full(4, 100.0))
+    rate_variance: Array | None = None
     literal_filter: bool = False
     angular: tuple[bool, bool, bool, bool] = (True, True, True, False)
     pid_gains: Array | None = None
@@ -156,6 +157,7 @@ def _kalman(settings: DesignSettings) -> kalman.KalmanParameters:
     return kalman.KalmanParameters(
         settings.measurement_variance,
         settings.disturbance_intensity,
+        settings.rate_variance,
         "literal" if settings.literal_filter else "extended",
     )
 

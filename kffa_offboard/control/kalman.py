@@ -7,7 +7,9 @@ corrected, the others are predicted.
 Differs from the paper in: read literally (two states per channel, Q = 0.03 I, R = 0.001) the gain is
 0.97 and nothing is filtered; that is `model = "literal"`. The default, `model = "extended"`, has
 the states of eq 19: output, rate and the disturbance as a random walk. With it the paper's
-claims about noise come out.
+claims about noise come out. Where the autopilot's telemetry carries the rate of the output (climb
+rate, body rates), it is fused beside the output when `rate_variance` is given: a released load shows
+in the climb rate long before it shows in the height.
 """
 
 from __future__ import annotations
@@ -37,6 +39,8 @@ class KalmanParameters:
         R: variance of one measurement.
     disturbance_intensity : (4,), (output units/s^2)^2/s
         Growth of the disturbance's variance per second (random walk); `extended` only.
+    rate_variance : (4,), (output units/s)^2, or None
+        Variance of the measured rate; None does not use it (the paper).
     model : "extended" or "literal"
     process_variance : (4,), output units squared
         Q of the literal filter, added to both states at every step.
@@ -44,6 +48,7 @@ class KalmanParameters:
 
     measurement_variance: Array
     disturbance_intensity: Array
+    rate_variance: Array | None = None
     model: Literal["extended", "literal"] = "extended"
     process_variance: Array | None = None
 
@@ -136,6 +141,7 @@ def step(
     measurement: Array,
     fresh: BoolArray,
     dt: float,
+    measured_rate: Array | None = None,
 ) -> tuple[KalmanState, Array]:
     """Predict over `dt` with the command that acted, then correct with the fresh measurements (eq 44-48).
 
@@ -148,6 +154,8 @@ def step(
         Unwrapped near the filter's own output on angular channels.
     fresh : (4[, N]) of bool
         A channel counts as fresh when it is so in the first flight: flights of a batch are sampled together.
+    measured_rate : (4[, N]) or None
+        Read where fresh, and only with `rate_variance`.
 
     Returns
     -------
@@ -162,13 +170,15 @@ def step(
     kalman.predict(u=acceleration.reshape(channels, -1), B=b, F=f, Q=q)
     index = np.flatnonzero(fresh.reshape(channels, -1)[:, 0])
     if index.size:
-        h = np.zeros((index.size, n * channels))
-        h[np.arange(index.size), n * index] = 1.0
-        kalman.update(
-            measurement.reshape(channels, -1)[index],
-            R=np.diag(np.asarray(parameters.measurement_variance, dtype=float)[index]),
-            H=h,
-        )
+        values, variances = measurement.reshape(channels, -1)[index], parameters.measurement_variance[index]
+        rows = n * index
+        if parameters.rate_variance is not None and measured_rate is not None:
+            values = np.concatenate([values, measured_rate.reshape(channels, -1)[index]])
+            variances = np.concatenate([variances, parameters.rate_variance[index]])
+            rows = np.concatenate([rows, rows + 1])
+        h = np.zeros((rows.size, n * channels))
+        h[np.arange(rows.size), rows] = 1.0
+        kalman.update(values, R=np.diag(variances), H=h)
     mean = np.asarray(kalman.x)
     filtered = mean.reshape(channels, n, -1)[:, 0].reshape(measurement.shape)
     return KalmanState(mean, np.asarray(kalman.P)), filtered

@@ -10,10 +10,13 @@ from kffa_offboard.control.observer import PlantModel
 
 MODEL = PlantModel(np.array([2.0, 24.0]), np.array([10.0, 0.0]), np.zeros(2))
 EXTENDED = kalman.KalmanParameters(np.array([1e-5, 4e-6]), np.array([50.0, 100.0]))
-LITERAL = kalman.KalmanParameters(np.full(2, 1e-3), np.full(2, 1.0), "literal")
+LITERAL = kalman.KalmanParameters(np.full(2, 1e-3), np.full(2, 1.0), model="literal")
 
 
-def textbook_step(parameters, state, command, measurement, fresh, dt):
+FUSED = kalman.KalmanParameters(np.array([1e-5, 4e-6]), np.array([50.0, 100.0]), np.array([1e-4, 4e-4]))
+
+
+def textbook_step(parameters, state, command, measurement, fresh, dt, rate):
     """Predict and correct channel by channel with scalars, straight from eq 44-48."""
     n, blocks, out = parameters.states, [], []
     for c in range(2):
@@ -31,17 +34,19 @@ def textbook_step(parameters, state, command, measurement, fresh, dt):
             noise = (np.triu(g) + np.triu(g, 1).T) * parameters.disturbance_intensity[c]
         x = f @ x + np.array([q, p, 0.0])[:n] * MODEL.b0[c] * command[c]
         covariance = f @ covariance @ f.T + noise
-        if fresh[c]:
-            r = parameters.measurement_variance[c]
-            gain = covariance[:, 0] / (covariance[0, 0] + r)
-            x = x + gain * (measurement[c] - x[0])
-            covariance = covariance - np.outer(gain, covariance[0])
+        sensors = [(0, measurement[c], parameters.measurement_variance[c])]
+        if parameters.rate_variance is not None:  # independent noise: one after the other is the same as both
+            sensors.append((1, rate[c], parameters.rate_variance[c]))
+        for row, value, r in sensors if fresh[c] else []:
+            gain = covariance[:, row] / (covariance[row, row] + r)
+            x = x + gain * (value - x[row])
+            covariance = covariance - np.outer(gain, covariance[row])
         blocks.append((x, covariance))
         out.append(x[0])
     return blocks, np.array(out)
 
 
-@pytest.mark.parametrize("parameters", [EXTENDED, LITERAL], ids=["extended", "literal"])
+@pytest.mark.parametrize("parameters", [EXTENDED, LITERAL, FUSED], ids=["extended", "literal", "fused"])
 @given(data=st.data())
 def test_filterpy_and_the_textbook_agree(parameters, data) -> None:
     state = kalman.initial_state(parameters, np.array([0.1, 5.0]), np.array([0.0, -9.8]))
@@ -50,8 +55,9 @@ def test_filterpy_and_the_textbook_agree(parameters, data) -> None:
         command = np.array(data.draw(st.lists(st.floats(-1, 1), min_size=2, max_size=2)))
         measurement = np.array(data.draw(st.lists(st.floats(-5, 5), min_size=2, max_size=2)))
         fresh = np.array(data.draw(st.lists(st.booleans(), min_size=2, max_size=2)))
-        blocks, expected = textbook_step(parameters, state, command, measurement, fresh, dt)
-        state, filtered = kalman.step(parameters, MODEL, state, command, measurement, fresh, dt)
+        rate = np.array(data.draw(st.lists(st.floats(-5, 5), min_size=2, max_size=2)))
+        blocks, expected = textbook_step(parameters, state, command, measurement, fresh, dt, rate)
+        state, filtered = kalman.step(parameters, MODEL, state, command, measurement, fresh, dt, rate)
         np.testing.assert_allclose(filtered, expected, rtol=1e-8, atol=1e-9)
         n = parameters.states
         for c, (x, covariance) in enumerate(blocks):
@@ -100,3 +106,20 @@ def test_the_extended_filter_quietens_noise_and_still_finds_a_released_load() ->
         y = np.array([0.0, 0.5 * 4.9 * (0.01 * k) ** 2])
         state, _ = kalman.step(EXTENDED, MODEL, state, np.zeros(2), y, np.array([True, True]), 0.01)
     assert state.mean.reshape(2, 3)[1, 2] == pytest.approx(4.9, rel=0.1)
+
+
+def test_the_climb_rate_makes_the_height_quieter() -> None:
+    spread = []
+    for parameters in (EXTENDED, FUSED):
+        generator = np.random.default_rng(4)
+        state = kalman.initial_state(parameters, np.zeros(2), np.zeros(2))
+        heights = []
+        for _ in range(600):
+            height = np.sqrt(parameters.measurement_variance) * generator.standard_normal(2)
+            rate = np.sqrt(FUSED.rate_variance) * generator.standard_normal(2)
+            state, filtered = kalman.step(
+                parameters, MODEL, state, np.zeros(2), height, np.array([True, True]), 0.01, rate
+            )
+            heights.append(filtered[1])
+        spread.append(np.std(heights[100:]))
+    assert spread[1] < 0.7 * spread[0]
