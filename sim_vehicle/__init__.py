@@ -1,0 +1,1 @@
+"""A simulated quadrotor with a load, behind MAVLink, that behaves as PX4 or as ArduCopter does."""

@@ -1,0 +1,5 @@
+"""`python -m sim_vehicle` is `sim-vehicle`."""
+
+from sim_vehicle.cli import main
+
+main()

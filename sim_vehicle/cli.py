@@ -1,0 +1,196 @@
+"""The command `sim-vehicle`."""
+
+from __future__ import annotations
+
+import contextlib
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import FrameType
+from typing import Annotated, Any, NoReturn, TextIO
+
+import typer
+from rich.console import Console
+
+from sim_vehicle import config as configuration
+from sim_vehicle.config import SimConfig
+from sim_vehicle.endpoints import parse_endpoint
+from sim_vehicle.errors import SimulatorError
+from sim_vehicle.links import Links
+from sim_vehicle.server import run_lockstep, run_real_time
+from sim_vehicle.truth import TruthFile
+from sim_vehicle.vehicle import SimulatedVehicle
+
+EXIT_BAD_INPUT = 2
+EXIT_INTERRUPTED = 130
+EXIT_TERMINATED = 143
+
+app = typer.Typer(
+    help="A simulated 10 kg quadrotor that picks up and drops loads, behind MAVLink, "
+    "behaving as PX4 or as ArduCopter.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+
+
+class _Terminated(Exception):
+    """SIGTERM came."""
+
+
+@app.callback()
+def _commands() -> None:
+    """Keep `run` a sub-command although it is the only one."""
+
+
+@app.command()
+def run(
+    config: Annotated[
+        Path | None, typer.Option(help="TOML file; without it, PX4 on udpout:127.0.0.1:14540.")
+    ] = None,
+    link: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="udpin:HOST:PORT, udpout:HOST:PORT, tcpin:HOST:PORT or tcp:HOST:PORT, instead of the file's "
+            "link.endpoints; may be repeated."
+        ),
+    ] = None,
+    personality: Annotated[str | None, typer.Option(help="px4 or ardupilot, instead of the file's.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all noise, instead of the file's.")] = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="Let simulated time wait for the controller.")
+    ] = False,
+    truth: Annotated[
+        Path | None, typer.Option(help="Write true states and events to this CSV file, every 10 ms.")
+    ] = None,
+    duration: Annotated[
+        float | None, typer.Option(help="End after this many seconds of simulated time.")
+    ] = None,
+) -> None:
+    """Fly the simulated vehicle until Ctrl-C.
+
+    In real time, any ground station or controller can connect. With --lockstep, simulated time
+    advances only when the controller has answered: deterministic, and as fast as the machine allows.
+
+    Exit status: 0 after --duration, 2 for bad input, 130 after Ctrl-C.
+    """
+    try:
+        settings = _settings(config, link, personality, seed, lockstep)
+        if duration is not None and not duration > 0.0:
+            raise SimulatorError(f"--duration {duration:g}: not above zero; give seconds of simulated time")
+        _fly(settings, truth, duration)
+    except SimulatorError as problem:
+        _give_up(str(problem))
+    except KeyboardInterrupt:
+        raise typer.Exit(EXIT_INTERRUPTED) from None
+    except _Terminated:
+        raise typer.Exit(EXIT_TERMINATED) from None
+
+
+def _settings(
+    config: Path | None,
+    link: list[str] | None,
+    personality: str | None,
+    seed: int | None,
+    lockstep: bool,
+) -> SimConfig:
+    """Configuration file and options put together."""
+    overrides: dict[str, dict[str, Any]] = {}
+    if link:
+        overrides.setdefault("link", {})["endpoints"] = link
+    if personality is not None:
+        overrides.setdefault("vehicle", {})["personality"] = personality
+    if seed is not None:
+        overrides.setdefault("vehicle", {})["seed"] = seed
+    if lockstep:
+        overrides["lockstep"] = {"enabled": True}
+    if config is None:
+        return configuration.build(overrides, "options")
+    return configuration.load(config, overrides)
+
+
+def _fly(settings: SimConfig, truth: Path | None, duration: float | None) -> None:
+    vehicle = SimulatedVehicle(settings)
+    endpoints = [parse_endpoint(url, settings.link.allow_remote) for url in settings.link.endpoints]
+    with _terminate_as_exception(), _truth_file(truth, vehicle) as record, Links(endpoints) as links:
+        mode = "in lock-step" if settings.lockstep.enabled else "in real time"
+        print(
+            f"{settings.vehicle.personality} vehicle, system {settings.vehicle.system_id}, {mode}: "
+            f"{', '.join(links.addresses)}",
+            flush=True,
+        )
+        fly = run_lockstep if settings.lockstep.enabled else run_real_time
+        with _status_line() as show:
+
+            def progress(flying: SimulatedVehicle) -> None:
+                record()
+                show(flying)
+
+            fly(vehicle, links, duration, progress)
+
+
+@contextlib.contextmanager
+def _truth_file(path: Path | None, vehicle: SimulatedVehicle) -> Iterator[Callable[[], None]]:
+    """Yield what writes the truth so far; writes the rest at the end, however the flight ends."""
+    if path is None:
+        yield lambda: None
+        return
+    try:
+        stream: TextIO = path.open("w", encoding="utf-8", newline="")
+    except OSError as problem:
+        reason = problem.strerror or str(problem)
+        raise SimulatorError(f"--truth {path}: cannot be written: {reason}; choose another file") from problem
+    with stream:
+        record = TruthFile(stream, vehicle.truth)
+        try:
+            yield record.flush
+        finally:
+            record.flush()
+
+
+@contextlib.contextmanager
+def _status_line() -> Iterator[Callable[[SimulatedVehicle], None]]:
+    """Yield what shows where the vehicle is; shows nothing if nobody watches."""
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        yield lambda vehicle: None
+        return
+    began = time.monotonic()
+    with console.status("starting", refresh_per_second=5.0) as status:
+
+        def show(vehicle: SimulatedVehicle) -> None:
+            x, y, z = vehicle.state.position.tolist()
+            speed = vehicle.time_us * 1e-6 / max(1e-3, time.monotonic() - began)
+            armed = "armed" if vehicle.firmware.armed else "disarmed"
+            status.update(
+                f"{vehicle.time_us * 1e-6:7.1f} s  x{speed:.1f}  {vehicle.firmware.mode_name} {armed}  "
+                f"height {z:.2f} m  x {x:.2f} y {y:.2f} m  load {float(vehicle.state.load_mass):.2f} kg"
+            )
+
+        yield show
+
+
+@contextlib.contextmanager
+def _terminate_as_exception() -> Iterator[None]:
+    """SIGTERM ends the flight as cleanly as Ctrl-C does."""
+
+    def end(number: int, frame: FrameType | None) -> NoReturn:
+        raise _Terminated
+
+    before = signal.signal(signal.SIGTERM, end)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def _give_up(reason: str) -> NoReturn:
+    print(f"error: {' '.join(reason.split())}", file=sys.stderr)
+    raise typer.Exit(EXIT_BAD_INPUT)
+
+
+def main() -> None:
+    """Entry point."""
+    app()

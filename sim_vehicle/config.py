@@ -1,0 +1,233 @@
+"""Configuration of the simulated vehicle: TOML in, checked values out.
+
+Units are in the names. Every error is one line, `FILE: key.path = value: what is wrong; remedy`.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self, TypeAlias
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+
+from sim_vehicle import payload
+from sim_vehicle.config_errors import describe
+from sim_vehicle.endpoints import parse_endpoint
+from sim_vehicle.errors import SimulatorError
+from sim_vehicle.parameter_tables import ARDUPILOT, PX4
+from sim_vehicle.parameters import ParameterStore
+
+Personality: TypeAlias = Literal["px4", "ardupilot"]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
+Delay: TypeAlias = Annotated[float, Field(ge=0.0, le=2.0)]
+Vector3: TypeAlias = tuple[float, float, float]
+
+MICROSECOND = 1e-6
+
+
+class _Section(BaseModel):
+    """Common rules: no unknown keys, no conversions from text, no NaN, values do not change."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+class VehicleSection(_Section):
+    """[vehicle]: what flies, and as which firmware it behaves."""
+
+    personality: Personality = "px4"
+    profile: payload.Profile = "airframe"
+    seed: Annotated[int, Field(ge=0)] = 0
+    system_id: Annotated[int, Field(ge=1, le=255)] = 1
+    physics_dt_s: Annotated[float, Field(ge=0.0005, le=0.005)] = 0.0025
+    attitude_ready_s: NotNegative = 0.5
+    """The estimator has an attitude this long after power-up; real ArduCopter in simulation: about 6 s."""
+    position_ready_s: NotNegative = 1.0
+    """The estimator has a position this long after power-up; real ArduCopter in simulation: about 41 s."""
+
+    @field_validator("physics_dt_s")
+    @classmethod
+    def _whole_microseconds(cls, value: float) -> float:
+        if abs(value / MICROSECOND - round(value / MICROSECOND)) > 1e-6:
+            raise ValueError("not a whole number of microseconds; choose for instance 0.0025")
+        return value
+
+
+class LinkSection(_Section):
+    """[link]: where the vehicle is reached, and how late and unevenly."""
+
+    endpoints: tuple[str, ...] = ("udpout:127.0.0.1:14540",)
+    telemetry_delay_s: Delay = 0.02
+    command_delay_s: Delay = 0.02
+    jitter_s: Delay = 0.0
+    """Each datagram is late by up to this much more, evenly distributed; datagrams keep their order."""
+    allow_remote: bool = False
+
+    @model_validator(mode="after")
+    def _endpoints_are_links(self) -> Self:
+        if not self.endpoints:
+            raise ValueError("endpoints = []: nobody could connect; give for instance udpout:127.0.0.1:14540")
+        for url in self.endpoints:
+            try:
+                parse_endpoint(url, self.allow_remote)
+            except ValueError as problem:
+                raise ValueError(f"endpoints = {problem}") from problem
+        return self
+
+
+class SensorsSection(_Section):
+    """[sensors]: standard deviations of white noise on what the firmware estimates, flies by and sends."""
+
+    attitude_noise_rad: NotNegative = 0.002
+    body_rate_noise_rad_s: NotNegative = 0.01
+    altitude_noise_m: NotNegative = 0.01
+    climb_rate_noise_m_s: NotNegative = 0.02
+    horizontal_position_noise_m: NotNegative = 0.02
+    horizontal_velocity_noise_m_s: NotNegative = 0.02
+
+
+class WindSection(_Section):
+    """[wind]: steady wind, gusts and the paper's sine (Example 4)."""
+
+    mean_m_s: Vector3 = (0.0, 0.0, 0.0)
+    gust_std_m_s: NotNegative = 0.0
+    gust_time_constant_s: Annotated[float, Field(gt=0.0)] = 1.0
+    sine_amplitude_m_s2: float = 0.0
+    sine_amplitude_n: float = 0.0
+    sine_period_s: Annotated[float, Field(gt=0.0)] = 2.0 * math.pi
+    sine_direction: Vector3 = (0.0, 0.0, 1.0)
+
+    @model_validator(mode="after")
+    def _one_sine(self) -> Self:
+        if self.sine_amplitude_m_s2 != 0.0 and self.sine_amplitude_n != 0.0:
+            raise ValueError(
+                f"sine_amplitude_n = {self.sine_amplitude_n:g}: sine_amplitude_m_s2 is given too; "
+                "keep the acceleration or the force"
+            )
+        return self
+
+
+class LoadChange(_Section):
+    """One entry of payload.schedule: from `time_s` on the load is `mass_kg`."""
+
+    time_s: NotNegative
+    mass_kg: float
+
+    @field_validator("mass_kg")
+    @classmethod
+    def _light_enough(cls, value: float) -> float:
+        payload.check_load_mass(value)
+        return value
+
+
+class PayloadSection(_Section):
+    """[payload]: what the gripper holds, where, and when it comes and goes by itself."""
+
+    offset_m: Vector3 = payload.DEFAULT_OFFSET
+    gripper_mass_kg: float = 5.0
+    clock: Literal["airborne", "boot"] = "airborne"
+    schedule: tuple[LoadChange, ...] = ()
+
+    @field_validator("gripper_mass_kg")
+    @classmethod
+    def _light_enough(cls, value: float) -> float:
+        payload.check_load_mass(value)
+        return value
+
+    @field_validator("schedule")
+    @classmethod
+    def _in_order(cls, value: tuple[LoadChange, ...]) -> tuple[LoadChange, ...]:
+        payload.PayloadSchedule(tuple((change.time_s, change.mass_kg) for change in value))
+        return value
+
+
+class LockstepSection(_Section):
+    """[lockstep]: simulated time waits for the controller."""
+
+    enabled: bool = False
+    period_s: Annotated[float, Field(gt=0.0, le=1.0)] = 0.01
+    answer_timeout_s: Annotated[float, Field(gt=0.0, le=600.0)] = 5.0
+    connect_timeout_s: Annotated[float, Field(gt=0.0, le=600.0)] = 20.0
+
+
+class SimConfig(_Section):
+    """Everything about one simulated vehicle."""
+
+    vehicle: VehicleSection = VehicleSection()
+    link: LinkSection = LinkSection()
+    sensors: SensorsSection = SensorsSection()
+    wind: WindSection = WindSection()
+    payload: PayloadSection = PayloadSection()
+    lockstep: LockstepSection = LockstepSection()
+    parameters: dict[str, float | int] = Field(default_factory=dict)
+    """Firmware parameters by their own names, changed before power-up."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        steps = self.lockstep.period_s / self.vehicle.physics_dt_s
+        if abs(steps - round(steps)) > 1e-6 or round(steps) < 1:
+            raise ValueError(
+                f"lockstep.period_s = {self.lockstep.period_s:g}: not a multiple of vehicle.physics_dt_s = "
+                f"{self.vehicle.physics_dt_s:g}; choose for instance {4 * self.vehicle.physics_dt_s:g}"
+            )
+        self.make_parameters()
+        return self
+
+    def make_parameters(self) -> ParameterStore:
+        """A fresh parameter store of this personality with the overrides applied.
+
+        Raises ValueError, for people, if an override is not possible.
+        """
+        px4 = self.vehicle.personality == "px4"
+        store = ParameterStore(PX4, "bytewise") if px4 else ParameterStore(ARDUPILOT, "c-cast")
+        store.set("MAV_SYS_ID" if px4 else "SYSID_THISMAV", self.vehicle.system_id)
+        for name, value in self.parameters.items():
+            try:
+                store.set(name, float(value))
+            except ValueError as problem:
+                detail = str(problem).replace("this personality", self.vehicle.personality)
+                raise ValueError(f"parameters.{name} = {value}: {detail}") from problem
+        return store
+
+
+def build(values: Mapping[str, Any], origin: str) -> SimConfig:
+    """Check `values`, the tables of a TOML file.
+
+    Raises SimulatorError with one line that starts with `origin`.
+    """
+    try:
+        # Through JSON's rules a TOML array may become a tuple; everything else stays strict.
+        return SimConfig.model_validate(_tuples(values))
+    except ValidationError as problem:
+        raise SimulatorError(f"{origin}: {describe(problem, SimConfig)}") from problem
+
+
+def load(path: Path, overrides: Mapping[str, Mapping[str, Any]] | None = None) -> SimConfig:
+    """Read and check a TOML file; `overrides` are keys of sections, applied on top.
+
+    Raises SimulatorError with one line if the file is missing, is not TOML or holds a bad value.
+    """
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as problem:
+        raise SimulatorError(f"{path}: no such file; give the path of a TOML file") from problem
+    except (OSError, UnicodeDecodeError) as problem:
+        raise SimulatorError(f"{path}: cannot be read: {problem}") from problem
+    except tomllib.TOMLDecodeError as problem:
+        raise SimulatorError(f"{path}: not valid TOML: {problem}") from problem
+    for section, changes in (overrides or {}).items():
+        table = values.setdefault(section, {})
+        if isinstance(table, dict):
+            table.update(changes)
+    return build(values, str(path))
+
+
+def _tuples(value: Any) -> Any:
+    """Arrays as tuples, all the way down: strict validation takes nothing else for them."""
+    if isinstance(value, Mapping):
+        return {key: _tuples(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return tuple(_tuples(entry) for entry in value)
+    return value
