@@ -183,7 +183,7 @@ class SetGripper:
 
 @dataclass(frozen=True, slots=True)
 class Announce:
-    """A line for people: STATUSTEXT on the wire and a line in the log (50 characters or fewer on the wire)."""
+    """A line for people: STATUSTEXT (50 characters or fewer there) and a line in the log."""
 
     severity: Severity
     text: str
@@ -220,12 +220,5 @@ class Signals:
 
 
 Output: TypeAlias = (
-    AttitudeTarget
-    | RequestMessageRates
-    | SetMode
-    | SetArmed
-    | SetGripper
-    | Announce
-    | OwnHeartbeat
-    | Signals
+    AttitudeTarget | RequestMessageRates | SetMode | SetArmed | SetGripper | Announce | OwnHeartbeat | Signals
 )

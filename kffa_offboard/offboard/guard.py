@@ -1,0 +1,137 @@
+"""The last check of every setpoint before it leaves, independent of the controller that made it.
+
+It knows nothing of controllers: plain numbers in, a setpoint within the limits out. What it
+changed is reported, so that the service can tell the observer what was really applied. A number
+that is not finite is not repaired: it has no safe value, the service must give up control.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, hypot, isfinite, pi
+
+from kffa_offboard.offboard.events import AttitudeTarget, Vector3
+from kffa_offboard.offboard.settings import LimitSettings
+
+
+@dataclass(frozen=True, slots=True)
+class Checked:
+    """Result of a check.
+
+    Attributes
+    ----------
+    target : what may be sent; None if nothing may
+    changed : it is not what was asked for
+    fault : why nothing may be sent
+    """
+
+    target: AttitudeTarget | None
+    changed: bool = False
+    fault: str | None = None
+
+
+def _clip(value: float, lower: float, upper: float) -> float:
+    return min(max(value, lower), upper)
+
+
+def _slew(value: float, previous: float, change: float) -> float:
+    return _clip(value, previous - change, previous + change)
+
+
+def tilt(attitude: Vector3) -> float:
+    """Approximate angle [rad] between body z and world z: never less than the true one below 90 degrees."""
+    return hypot(attitude[0], attitude[1])
+
+
+def tilt_factor(limits: LimitSettings, attitude: Vector3) -> float:
+    """cos(roll) cos(pitch), held above its value at `limits.tilt_compensation_max_rad`.
+
+    Vertical thrust is collective thrust times this factor (eq 14-15).
+    """
+    return max(cos(attitude[0]) * cos(attitude[1]), cos(limits.tilt_compensation_max_rad))
+
+
+def check_target(
+    limits: LimitSettings,
+    target: AttitudeTarget,
+    previous: AttitudeTarget | None,
+    attitude: Vector3,
+    dt: float,
+    airborne: bool,
+) -> Checked:
+    """Bring a setpoint within the limits.
+
+    Parameters
+    ----------
+    target : what the controller wants
+    previous : what was sent last; None for the first one of an engagement
+    attitude : measured roll, pitch, yaw, rad
+    dt : time since `previous`, s
+    airborne : False allows thrust below `limits.thrust_min`
+    """
+    numbers = (target.thrust, *(target.body_rates or ()), *(target.attitude or ()), *attitude, dt)
+    if not all(isfinite(number) for number in numbers):
+        return Checked(None, fault="setpoint is not a finite number")
+    if (target.body_rates is None) == (target.attitude is None):
+        return Checked(None, fault="setpoint needs either body rates or attitude")
+    dt = max(dt, 0.0)
+    thrust = _check_thrust(limits, target.thrust, previous, dt, airborne)
+    if target.body_rates is not None:
+        last_rates = previous.body_rates if previous is not None else None
+        rates = _check_rates(limits, target.body_rates, last_rates, attitude, dt)
+        safe = AttitudeTarget(thrust, body_rates=rates)
+    else:
+        assert target.attitude is not None
+        last_attitude = previous.attitude if previous is not None else None
+        safe = AttitudeTarget(thrust, attitude=_check_attitude(limits, target.attitude, last_attitude, dt))
+    return Checked(safe, changed=safe != target)
+
+
+def _check_thrust(
+    limits: LimitSettings, thrust: float, previous: AttitudeTarget | None, dt: float, airborne: bool
+) -> float:
+    """Bounds win over the rate of change, so that leaving the ground regime is not delayed."""
+    if previous is not None:
+        thrust = _slew(thrust, previous.thrust, limits.thrust_rate_max_per_s * dt)
+    return _clip(thrust, limits.thrust_min if airborne else 0.0, limits.thrust_max)
+
+
+def _check_rates(
+    limits: LimitSettings, rates: Vector3, previous: Vector3 | None, attitude: Vector3, dt: float
+) -> Vector3:
+    """Bound rates and their change; beyond `tilt_max_rad` take away the part that tilts further."""
+    if previous is not None:
+        change = limits.body_rate_change_max_rad_s2 * dt
+        rates = (
+            _slew(rates[0], previous[0], change),
+            _slew(rates[1], previous[1], change),
+            _slew(rates[2], previous[2], change),
+        )
+    angle = tilt(attitude)
+    if angle > limits.tilt_max_rad:
+        away = (attitude[0] / angle, attitude[1] / angle)
+        outward = max(0.0, rates[0] * away[0] + rates[1] * away[1])
+        rates = (rates[0] - outward * away[0], rates[1] - outward * away[1], rates[2])
+    bounds = limits.body_rate_max_rad_s
+    return (
+        _clip(rates[0], -bounds[0], bounds[0]),
+        _clip(rates[1], -bounds[1], bounds[1]),
+        _clip(rates[2], -bounds[2], bounds[2]),
+    )
+
+
+def _check_attitude(limits: LimitSettings, wanted: Vector3, previous: Vector3 | None, dt: float) -> Vector3:
+    """Bound the change of attitude, then its tilt (the heading taken the short way)."""
+    roll, pitch, yaw = wanted
+    if previous is not None:
+        bounds = limits.body_rate_max_rad_s
+        roll = _slew(roll, previous[0], bounds[0] * dt)
+        pitch = _slew(pitch, previous[1], bounds[1] * dt)
+        turn = (yaw - previous[2] + pi) % (2.0 * pi) - pi
+        if abs(turn) > bounds[2] * dt:
+            yaw = previous[2] + _clip(turn, -bounds[2] * dt, bounds[2] * dt)
+            yaw = (yaw + pi) % (2.0 * pi) - pi
+    angle = tilt((roll, pitch, yaw))
+    if angle > limits.tilt_max_rad:
+        roll, pitch = roll * limits.tilt_max_rad / angle, pitch * limits.tilt_max_rad / angle
+    return (roll, pitch, yaw)

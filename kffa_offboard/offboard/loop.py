@@ -1,0 +1,266 @@
+"""One control step: from telemetry and a wish to a checked setpoint, and what the observer is told of it.
+
+Translates between the controller's channels (roll, pitch, yaw, vertical thrust) and setpoints (body
+rates or attitude, collective thrust). While the daemon is not in control the same step runs in
+shadow: the observer is then told what the autopilot itself applies.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import exp
+
+import numpy as np
+
+from kffa_offboard.control import Array, controllers
+from kffa_offboard.control.rotation import body_rates_to_euler_rates, euler_rates_to_body_rates, wrap_angle
+from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
+from kffa_offboard.offboard.flight import Directive
+from kffa_offboard.offboard.guard import check_target, tilt_factor
+from kffa_offboard.offboard.settings import ServiceSettings
+from kffa_offboard.offboard.telemetry import Telemetry, reported_target, reported_thrust
+
+
+@dataclass(frozen=True, slots=True)
+class Blend:
+    """Difference between the autopilot's vertical thrust and the controller's at engaging; it fades."""
+
+    offset: float
+    since_us: int
+
+
+@dataclass(frozen=True, slots=True)
+class LoopState:
+    """What one step leaves for the next.
+
+    Attributes
+    ----------
+    controller : controller state
+    position_us : sample time of the position that was used last
+    altitude : m, estimate
+    hold_altitude : m, where the vehicle comes to rest if it is told to hold now
+    vertical_thrust : last command on the altitude channel
+    sent, sent_us : last setpoint of this engagement and when; None before the first
+    blend : None outside an engagement in the air
+    """
+
+    controller: controllers.ControllerState
+    position_us: int
+    altitude: float
+    hold_altitude: float
+    vertical_thrust: float
+    sent: AttitudeTarget | None = None
+    sent_us: int = 0
+    blend: Blend | None = None
+
+    def resent(self, time_us: int) -> LoopState:
+        """The last setpoint was repeated at `time_us`."""
+        return replace(self, sent_us=time_us)
+
+
+@dataclass(frozen=True, slots=True)
+class Order:
+    """How this step is to be made.
+
+    Attributes
+    ----------
+    directive : reference, or thrust on the ground
+    state_name : for the log
+    sending : a setpoint goes out
+    acting : it is the daemon's setpoint that acts, not the autopilot's own command
+    capture : begin the thrust blend anew
+    airborne : lower thrust limit applies
+    """
+
+    directive: Directive
+    state_name: str
+    sending: bool = False
+    acting: bool = False
+    capture: bool = False
+    airborne: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class LoopStep:
+    """Result of a step: what goes out (None in shadow or on a fault), the log, and the fault."""
+
+    target: AttitudeTarget | None
+    signals: Signals
+    fault: str | None = None
+
+
+def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> LoopState | None:
+    """Start the controller at rest at the present measurement; None while a sample is missing."""
+    if known.attitude is None or known.position is None:
+        return None
+    measured = _measurement(known)
+    applied = autopilot_command(settings, known, time_us, measured)
+    controller = controllers.initial_state(settings.controller, measured, applied)
+    altitude = float(measured[3])
+    return LoopState(controller, known.position.sample_time_us, altitude, altitude, float(applied[3]))
+
+
+def forget_sent(loop: LoopState) -> LoopState:
+    """Nothing has been sent in the engagement that begins, or the one that was has ended."""
+    return replace(loop, sent=None, blend=None)
+
+
+def _measurement(known: Telemetry) -> Array:
+    assert known.attitude is not None and known.position is not None
+    return np.array([*known.attitude.attitude, known.position.position[2]])
+
+
+def _measured_rate(known: Telemetry) -> Array:
+    assert known.attitude is not None and known.position is not None
+    rates = body_rates_to_euler_rates(np.array(known.attitude.attitude), np.array(known.attitude.body_rates))
+    return np.array([*rates, known.position.velocity[2]])
+
+
+def autopilot_command(settings: ServiceSettings, known: Telemetry, time_us: int, near: Array) -> Array:
+    """What the autopilot itself commands, in the controller's channels ``(4,)``.
+
+    Thrust: reported target, else throttle, else hover thrust; zero while disarmed. Attitude: reported
+    target, else what is measured. Angles are given in the turn of `near` ``(4,)``.
+    """
+    assert known.attitude is not None
+    attitude = known.attitude.attitude
+    target = reported_target(settings.telemetry, known, time_us)
+    thrust = reported_thrust(settings.telemetry, known, time_us)
+    if thrust is None:
+        thrust = settings.hover_thrust
+    if known.heartbeat is not None and not known.heartbeat.armed:
+        thrust = 0.0
+    if settings.output == "rates":
+        wanted = target.body_rates if target is not None else None
+        return command_of(
+            settings, attitude, AttitudeTarget(thrust, wanted or known.attitude.body_rates), near
+        )
+    wanted = target.attitude if target is not None else None
+    return command_of(settings, attitude, AttitudeTarget(thrust, attitude=wanted or attitude), near)
+
+
+def command_of(settings: ServiceSettings, attitude: Vector3, target: AttitudeTarget, near: Array) -> Array:
+    """A setpoint in the controller's channels ``(4,)``; angles in the turn of `near` ``(4,)``."""
+    vertical = target.thrust * tilt_factor(settings.limits, attitude)
+    if target.body_rates is not None:
+        rates = body_rates_to_euler_rates(np.array(attitude), np.array(target.body_rates))
+        return np.array([*rates, vertical])
+    assert target.attitude is not None
+    return controllers.wrap_near(np.array([*target.attitude, vertical]), near, settings.controller.angular)
+
+
+def target_of(settings: ServiceSettings, attitude: Vector3, command: Array) -> AttitudeTarget:
+    """The setpoint for a command ``(4,)`` in the controller's channels."""
+    thrust = float(command[3]) / tilt_factor(settings.limits, attitude)
+    if settings.output == "rates":
+        rates = euler_rates_to_body_rates(np.array(attitude), command[:3])
+        return AttitudeTarget(thrust, body_rates=(float(rates[0]), float(rates[1]), float(rates[2])))
+    yaw = float(wrap_angle(command[2]))
+    return AttitudeTarget(thrust, attitude=(float(command[0]), float(command[1]), yaw))
+
+
+def level_target(settings: ServiceSettings, yaw: float, thrust: float) -> AttitudeTarget:
+    """No rotation (or level attitude with heading `yaw`) with a given collective thrust."""
+    if settings.output == "rates":
+        return AttitudeTarget(thrust, body_rates=(0.0, 0.0, 0.0))
+    return AttitudeTarget(thrust, attitude=(0.0, 0.0, float(wrap_angle(np.array(yaw)))))
+
+
+def step_loop(
+    settings: ServiceSettings, loop: LoopState, known: Telemetry, order: Order, time_us: int, dt: float
+) -> tuple[LoopState, LoopStep]:
+    """One control step for the attitude sample that has just been accepted, `dt` s after the last one."""
+    assert known.attitude is not None and known.position is not None
+    parameters, controller = settings.controller, loop.controller
+    if order.directive.align:
+        controller = controllers.align_reference(parameters, controller)
+    measured = _measurement(known)
+    fresh = np.array([True, True, True, known.position.sample_time_us != loop.position_us])
+    inputs = controllers.ControllerInput(
+        np.array(order.directive.reference), measured, fresh, _measured_rate(known)
+    )
+    controller, output = controllers.step(parameters, controller, inputs, dt)
+    stop = float(output.estimate[3] + settings.reference_lag_s * output.estimate_rate[3])
+    loop = replace(loop, position_us=known.position.sample_time_us, altitude=float(output.estimate[3]))
+    loop = replace(loop, hold_altitude=stop)
+    near = output.estimate
+    ours = order.acting and not order.capture
+    own = np.zeros(4) if ours else autopilot_command(settings, known, time_us, near)
+    if not order.sending:
+        controller = controllers.with_applied(parameters, controller, own)
+        loop = replace(loop, controller=controller, vertical_thrust=float(own[3]))
+        return loop, LoopStep(None, _signals(time_us, order, dt, measured, output, output.command, own))
+    loop, wanted, target = _wish(settings, loop, known, order, time_us, output.command, float(own[3]), near)
+    since = max(dt, (time_us - loop.sent_us) * 1e-6)
+    checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
+    if checked.target is None:
+        signals = _signals(time_us, order, dt, measured, output, wanted, wanted)
+        return replace(loop, controller=controller), LoopStep(None, signals, checked.fault)
+    sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
+    applied = sent if order.acting else own
+    controller = controllers.with_applied(parameters, controller, applied)
+    loop = replace(
+        loop, controller=controller, vertical_thrust=float(sent[3]), sent=checked.target, sent_us=time_us
+    )
+    limited = replace(output, saturated=output.saturated | (sent != wanted))
+    return loop, LoopStep(checked.target, _signals(time_us, order, dt, measured, limited, sent, applied))
+
+
+def _wish(
+    settings: ServiceSettings,
+    loop: LoopState,
+    known: Telemetry,
+    order: Order,
+    time_us: int,
+    command: Array,
+    own_vertical: float,
+    near: Array,
+) -> tuple[LoopState, Array, AttitudeTarget]:
+    """Command and setpoint before the guard: level with a given thrust, or the controller's, blended."""
+    assert known.attitude is not None
+    attitude = known.attitude.attitude
+    if order.directive.ground_thrust is not None:
+        target = level_target(settings, order.directive.reference[2], order.directive.ground_thrust)
+        return replace(loop, blend=None), command_of(settings, attitude, target, near), target
+    if order.capture:
+        loop = replace(loop, blend=Blend(own_vertical - float(command[3]), time_us))
+    if loop.blend is not None:
+        age = (time_us - loop.blend.since_us) * 1e-6
+        fading = loop.blend.offset * exp(-age / settings.sequence.blend_time_s)
+        command = command + np.array([0.0, 0.0, 0.0, fading])
+    return loop, command, target_of(settings, attitude, command)
+
+
+def _numbers(values: Array) -> tuple[float, ...]:
+    return tuple(float(value) for value in values)
+
+
+def _signals(
+    time_us: int,
+    order: Order,
+    dt: float,
+    measured: Array,
+    output: controllers.ControllerOutput,
+    command: Array,
+    applied: Array,
+) -> Signals:
+    return Signals(
+        time_us=time_us,
+        state=order.state_name,
+        reference=_numbers(output.reference),
+        reference_rate=_numbers(output.reference_rate),
+        measurement=_numbers(measured),
+        estimate=_numbers(output.estimate),
+        estimate_rate=_numbers(output.estimate_rate),
+        disturbance=_numbers(output.disturbance),
+        omega_c=_numbers(output.omega_c),
+        command=_numbers(command),
+        applied=_numbers(applied),
+        saturated=(
+            bool(output.saturated[0]),
+            bool(output.saturated[1]),
+            bool(output.saturated[2]),
+            bool(output.saturated[3]),
+        ),
+        dt=dt,
+    )

@@ -1,0 +1,313 @@
+"""Where setpoints come from: a scenario is a sequence of segments, a segment a reference over time.
+
+Everything is a pure function of time and of a frozen state. Times are seconds since engaging. A
+segment of fixed length ends at its nominal end, whenever the next sample comes, so a scenario
+keeps its timing; take-off and landing end when the vehicle has got there (`flight.py` decides
+about lift-off and touch-down).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import floor, pi, sin, sqrt
+from typing import Literal, TypeAlias
+
+from kffa_offboard.offboard.segments import (
+    Channel,
+    Gripper,
+    Hold,
+    Land,
+    Segment,
+    Sine,
+    Step,
+    Takeoff,
+    Triangle,
+    Wave,
+    check_scenario,
+    starts_on_ground,
+)
+from kffa_offboard.offboard.settings import FlightSettings
+
+__all__ = [
+    "Channel",
+    "Gripper",
+    "Hold",
+    "Land",
+    "Profile",
+    "Reference",
+    "ScenarioOutput",
+    "ScenarioState",
+    "Segment",
+    "Sine",
+    "Step",
+    "Takeoff",
+    "Triangle",
+    "Wave",
+    "begin_takeoff",
+    "check_scenario",
+    "current_segment",
+    "plan_profile",
+    "profile_altitude",
+    "starts_on_ground",
+    "step_scenario",
+    "wave",
+    "wave_duration",
+]
+
+Reference: TypeAlias = tuple[float, float, float, float]
+_CHANNELS: tuple[Channel, ...] = ("roll", "pitch", "yaw", "altitude")
+
+
+def wave_duration(segment: Wave) -> float:
+    """How long a step, triangle or sine lasts, s."""
+    if isinstance(segment, Step):
+        return segment.duration_s
+    return segment.period_s * segment.cycles
+
+
+def wave(segment: Wave, time_s: float) -> float:
+    """Deviation (rad or m) of a step, triangle or sine `time_s` after its beginning."""
+    match segment:
+        case Step():
+            return segment.amplitude
+        case Sine():
+            return segment.amplitude * sin(2.0 * pi * time_s / segment.period_s)
+        case Triangle():
+            phase = time_s / segment.period_s + 0.25
+            return segment.amplitude * (1.0 - abs(4.0 * (phase - floor(phase)) - 2.0))
+
+
+# --------------------------------------------------------------------- altitude profile
+
+
+@dataclass(frozen=True, slots=True)
+class Profile:
+    """Altitude change with limited speed and acceleration (trapezoid of speed).
+
+    Attributes
+    ----------
+    start, target : m
+    initial : m/s, speed at the beginning towards the target
+    peak : m/s, speed that is reached
+    acceleration : m/s^2
+    """
+
+    start: float
+    target: float
+    initial: float
+    peak: float
+    acceleration: float
+
+    @property
+    def times(self) -> tuple[float, float, float]:
+        """Durations of speeding up, cruise and slowing down, s."""
+        rise = (self.peak - self.initial) / self.acceleration
+        fall = self.peak / self.acceleration
+        ramps = (self.peak**2 - self.initial**2 + self.peak**2) / (2.0 * self.acceleration)
+        left = abs(self.target - self.start) - ramps
+        return rise, max(0.0, left) / self.peak if self.peak > 0.0 else 0.0, fall
+
+    @property
+    def duration(self) -> float:
+        """Time from start to target, s."""
+        return sum(self.times)
+
+
+def plan_profile(
+    start: float, target: float, speed: float, acceleration: float, climb_rate: float
+) -> Profile:
+    """Plan a change of altitude that begins with the present `climb_rate` (m/s, up positive).
+
+    A speed away from the target, or more than can be braked in time, is left to the controller: the
+    profile then begins with the nearest speed that it can have.
+    """
+    distance = abs(target - start)
+    towards = climb_rate if target >= start else -climb_rate
+    initial = min(max(towards, 0.0), speed, sqrt(2.0 * acceleration * distance))
+    peak = min(speed, sqrt(acceleration * distance + 0.5 * initial**2))
+    return Profile(start, target, initial, max(peak, initial), acceleration)
+
+
+def profile_altitude(profile: Profile, time_s: float) -> float:
+    """Altitude of the profile `time_s` after its beginning, m."""
+    rise, cruise, fall = profile.times
+    if time_s >= rise + cruise + fall:
+        return profile.target
+    up = min(max(time_s, 0.0), rise)
+    level = min(max(time_s - rise, 0.0), cruise)
+    down = max(time_s - rise - cruise, 0.0)
+    moved = profile.initial * up + 0.5 * profile.acceleration * up**2
+    moved += profile.peak * (level + down) - 0.5 * profile.acceleration * down**2
+    return profile.start + (moved if profile.target >= profile.start else -moved)
+
+
+# --------------------------------------------------------------------------- the player
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioState:
+    """Where a scenario is.
+
+    Attributes
+    ----------
+    hold_altitude : m, kept by holds, base of altitude waves
+    yaw : rad, heading at engaging
+    ground : m, altitude that take-off and landing count from
+    index, started_s : current segment and its nominal beginning
+    profile : of the current take-off
+    near_since_s : since when the vehicle is at the take-off altitude
+    descent_rate : m/s, momentary speed of the landing reference, positive down
+    last_s : time of the last step
+    """
+
+    hold_altitude: float
+    yaw: float
+    ground: float
+    index: int = 0
+    started_s: float = 0.0
+    profile: Profile | None = None
+    near_since_s: float | None = None
+    descent_rate: float = 0.0
+    last_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class ScenarioOutput:
+    """What the scenario wants now.
+
+    Attributes
+    ----------
+    reference : roll, pitch, yaw [rad], altitude [m]
+    gripper : actions that fall due in this step
+    done : the last segment has ended
+    fault : why the scenario cannot go on
+    """
+
+    reference: Reference
+    gripper: tuple[Literal["grab", "release"], ...] = field(default=())
+    done: bool = False
+    fault: str | None = None
+
+
+def current_segment(segments: tuple[Segment, ...], state: ScenarioState) -> Segment | None:
+    """The segment that is being flown; None after the last one."""
+    return segments[state.index] if state.index < len(segments) else None
+
+
+def begin_takeoff(
+    settings: FlightSettings,
+    segment: Takeoff,
+    state: ScenarioState,
+    now_s: float,
+    altitude: float,
+    climb_rate: float,
+) -> ScenarioState:
+    """Start the climb of a take-off at `now_s` from `altitude` [m] and `climb_rate` [m/s]."""
+    profile = plan_profile(
+        altitude,
+        state.ground + segment.altitude_m,
+        segment.climb_rate_m_s,
+        settings.acceleration_m_s2,
+        climb_rate,
+    )
+    return replace(state, started_s=now_s, profile=profile, near_since_s=None, hold_altitude=altitude)
+
+
+def step_scenario(
+    settings: FlightSettings,
+    segments: tuple[Segment, ...],
+    state: ScenarioState,
+    now_s: float,
+    altitude: float,
+    grounded: bool = False,
+) -> tuple[ScenarioState, ScenarioOutput]:
+    """Advance the scenario to `now_s`; `altitude` is the measured one.
+
+    On the ground (`grounded`) it stops before a take-off: lift-off is `flight.py`'s.
+    """
+    actions: list[Literal["grab", "release"]] = []
+    while True:
+        segment = current_segment(segments, state)
+        if segment is None or (grounded and isinstance(segment, Takeoff)):
+            level = _level(state)
+            done = segment is None and len(segments) > 0
+            return replace(state, last_s=now_s), ScenarioOutput(level, tuple(actions), done)
+        if isinstance(segment, Gripper):
+            actions.append(segment.action)
+            state = _next(state, state.started_s)
+            continue
+        if isinstance(segment, Takeoff) and state.profile is None:
+            state = begin_takeoff(settings, segment, state, state.started_s, state.hold_altitude, 0.0)
+        state, reference, ended_s, fault = _step_segment(settings, segment, state, now_s, altitude)
+        if ended_s is None or fault is not None:
+            state = replace(state, last_s=now_s)
+            return state, ScenarioOutput(reference, tuple(actions), False, fault)
+        state = _next(state, ended_s)
+
+
+def _level(state: ScenarioState) -> Reference:
+    return (0.0, 0.0, state.yaw, state.hold_altitude)
+
+
+def _next(state: ScenarioState, ended_s: float) -> ScenarioState:
+    return replace(
+        state, index=state.index + 1, started_s=ended_s, profile=None, near_since_s=None, descent_rate=0.0
+    )
+
+
+_Progress: TypeAlias = tuple[ScenarioState, Reference, float | None, str | None]
+
+
+def _step_segment(
+    settings: FlightSettings, segment: Segment, state: ScenarioState, now_s: float, altitude: float
+) -> _Progress:
+    """State, reference, time at which the segment ended (None: it goes on), fault."""
+    match segment:
+        case Hold():
+            ends = state.started_s + segment.duration_s
+            return state, _level(state), ends if now_s >= ends else None, None
+        case Takeoff():
+            return _step_takeoff(settings, state, now_s, altitude)
+        case Land():
+            return _step_land(settings, segment, state, now_s, altitude)
+        case Step() | Triangle() | Sine():
+            ends = state.started_s + wave_duration(segment)
+            if now_s >= ends:
+                return state, _level(state), ends, None
+            reference = list(_level(state))
+            reference[_CHANNELS.index(segment.channel)] += wave(segment, now_s - state.started_s)
+            return state, (reference[0], reference[1], reference[2], reference[3]), None, None
+        case Gripper():
+            return state, _level(state), now_s, None
+
+
+def _step_takeoff(settings: FlightSettings, state: ScenarioState, now_s: float, altitude: float) -> _Progress:
+    profile = state.profile
+    assert profile is not None
+    elapsed = now_s - state.started_s
+    near_since: float | None = now_s if state.near_since_s is None else state.near_since_s
+    if elapsed < profile.duration or abs(altitude - profile.target) > settings.arrival_tolerance_m:
+        near_since = None
+    state = replace(state, hold_altitude=profile_altitude(profile, elapsed), near_since_s=near_since)
+    if near_since is not None and now_s - near_since >= settings.arrival_time_s:
+        return state, _level(state), now_s, None
+    fault = None
+    if near_since is None and elapsed > profile.duration + settings.arrival_timeout_s:
+        fault = f"take-off stuck at {altitude:.1f} of {profile.target:.1f} m"
+    return state, _level(state), None, fault
+
+
+def _step_land(
+    settings: FlightSettings, segment: Land, state: ScenarioState, now_s: float, altitude: float
+) -> _Progress:
+    """Descend, slowing down in time for the last metre; never ends by itself."""
+    dt = max(now_s - max(state.last_s, state.started_s), 0.0)
+    height = max(state.hold_altitude - state.ground - settings.slow_height_m, 0.0)
+    slow = min(settings.slow_descent_rate_m_s, segment.descent_rate_m_s)
+    allowed = min(segment.descent_rate_m_s, sqrt(slow**2 + 2.0 * settings.acceleration_m_s2 * height))
+    rate = min(state.descent_rate + settings.acceleration_m_s2 * dt, allowed)
+    wanted = max(state.hold_altitude - rate * dt, altitude - settings.landing_lead_m)
+    # The lead bound may not raise the reference again.
+    wanted = min(wanted, state.hold_altitude)
+    state = replace(state, hold_altitude=wanted, descent_rate=rate)
+    return state, _level(state), None, None

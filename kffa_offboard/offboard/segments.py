@@ -1,0 +1,119 @@
+"""What a scenario is made of: frozen segments, checked before anything flies.
+
+Roll and pitch amplitudes are absolute (zero is level); yaw and altitude amplitudes count from
+the heading at engaging and from the altitude that the previous segment left.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isfinite
+from typing import Literal, TypeAlias
+
+Channel: TypeAlias = Literal["roll", "pitch", "yaw", "altitude"]
+
+
+@dataclass(frozen=True, slots=True)
+class Takeoff:
+    """Go to `altitude_m` (above the ground on a ground start, else above the estimator's origin)."""
+
+    altitude_m: float
+    climb_rate_m_s: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Keep attitude level, heading and altitude for `duration_s`."""
+
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Step one channel by `amplitude` (rad or m) for `duration_s`, then step back."""
+
+    channel: Channel
+    amplitude: float
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Triangle:
+    """Triangular wave from zero: up first, `amplitude` (rad or m) at a quarter of `period_s`."""
+
+    channel: Channel
+    amplitude: float
+    period_s: float
+    cycles: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Sine:
+    """Sine wave from zero: up first, `amplitude` (rad or m) at a quarter of `period_s`."""
+
+    channel: Channel
+    amplitude: float
+    period_s: float
+    cycles: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Gripper:
+    """Work the gripper; takes no time."""
+
+    action: Literal["grab", "release"]
+
+
+@dataclass(frozen=True, slots=True)
+class Land:
+    """Descend at `descent_rate_m_s` until touch-down; the last segment."""
+
+    descent_rate_m_s: float = 0.7
+
+
+Wave: TypeAlias = Step | Triangle | Sine
+Segment: TypeAlias = Takeoff | Hold | Wave | Gripper | Land
+
+
+def _numbers(segment: Segment) -> list[tuple[str, float]]:
+    """Names and values of a segment that must be positive."""
+    match segment:
+        case Takeoff():
+            return [("altitude_m", segment.altitude_m), ("climb_rate_m_s", segment.climb_rate_m_s)]
+        case Hold() | Step():
+            return [("duration_s", segment.duration_s)]
+        case Triangle() | Sine():
+            return [("period_s", segment.period_s), ("cycles", segment.cycles)]
+        case Land():
+            return [("descent_rate_m_s", segment.descent_rate_m_s)]
+        case Gripper():
+            return []
+
+
+def check_scenario(segments: tuple[Segment, ...]) -> None:
+    """Refuse a scenario that cannot be flown.
+
+    Raises
+    ------
+    ValueError
+        One line that names the segment (counted from 1), the value and the remedy.
+    """
+    for k, segment in enumerate(segments, start=1):
+        kind = type(segment).__name__.lower()
+        for name, value in _numbers(segment):
+            if not isfinite(value) or value <= 0.0:
+                raise ValueError(f"scenario segment {k} ({kind}): {name} = {value} must be positive")
+        if isinstance(segment, (Step, Triangle, Sine)) and not isfinite(segment.amplitude):
+            raise ValueError(f"scenario segment {k} ({kind}): amplitude = {segment.amplitude} must be finite")
+        if isinstance(segment, Land) and k < len(segments):
+            raise ValueError(f"scenario segment {k} (land): must be the last one; remove what follows")
+
+
+def starts_on_ground(segments: tuple[Segment, ...]) -> bool:
+    """True if the scenario can begin on the ground: nothing but holds and gripper before a take-off."""
+    for segment in segments:
+        if isinstance(segment, Takeoff):
+            return True
+        if not isinstance(segment, (Hold, Gripper)):
+            return False
+    return False

@@ -1,0 +1,366 @@
+"""The offboard service: events in, messages out; no socket, no clock, no randomness.
+
+States: waiting -> ready -> engaging -> engaged -> releasing, and failsafe from the last three. In
+waiting and ready nothing is in the daemon's hands, so a fault of telemetry there means "not ready"
+and starts the observers anew instead of ending the run.
+
+Rules, each kept in one place:
+
+- setpoints leave only through `_control` and `_resend`, and only in engaging, engaged, releasing;
+- before an event every deadline up to its time is run, each at its own nominal time; deadlines are
+  not stored but follow from the state, so none can be forgotten or outlive its reason;
+- after giving up control nothing is sent until somebody asks again (PX4 would return to OFFBOARD).
+
+`session.py` holds the other half: taking and giving back control.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from kffa_offboard.offboard import events, telemetry
+from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
+from kffa_offboard.offboard.loop import Order, begin_loop, step_loop
+from kffa_offboard.offboard.sequence import (
+    EngagePhase,
+    accept_retry,
+    engagement_due,
+    microseconds,
+    mode_granted,
+    retry_due,
+)
+from kffa_offboard.offboard.session import IDLE, SENDING, Finished, Session, State
+
+__all__ = ["Finished", "Service", "State"]
+
+Deadline = tuple[int, Callable[[int], None]]
+
+
+class Service(Session):
+    """The one place that holds state between events; all values inside are frozen.
+
+    Give it every event with its arrival time (microseconds of any clock that does not go back), call
+    `advance` at `next_deadline`, and send what they return in that order.
+    """
+
+    def handle(self, time_us: int, event: Event) -> list[Output]:
+        """Run the deadlines up to `time_us`, then the event; return what is to be sent.
+
+        Raises
+        ------
+        ValueError
+            If `time_us` is earlier than that of a former call.
+        """
+        self._run_deadlines(time_us)
+        self._dispatch(time_us, event)
+        return self._take_outputs()
+
+    def advance(self, time_us: int) -> list[Output]:
+        """Run the deadlines up to `time_us`; return what is to be sent. Raises as `handle`."""
+        self._run_deadlines(time_us)
+        return self._take_outputs()
+
+    def next_deadline(self) -> int | None:
+        """When `advance` must be called next, microseconds; None before the first call."""
+        if self._now_us is None:
+            return None
+        return min(due for due, _ in self._deadlines())
+
+    def _take_outputs(self) -> list[Output]:
+        outputs, self._outputs = self._outputs, []
+        return outputs
+
+    # ------------------------------------------------------------------------ deadlines
+
+    def _run_deadlines(self, time_us: int) -> None:
+        if self._now_us is None:
+            self._own_heartbeat_us = time_us
+        elif time_us < self._now_us:
+            raise ValueError(
+                f"event at {time_us} us comes after one at {self._now_us} us; keep them in order"
+            )
+        while True:
+            due, run = min(self._deadlines(), key=lambda deadline: deadline[0])
+            if due > time_us:
+                break
+            self._now_us = due if self._now_us is None else max(due, self._now_us)
+            run(due)
+        self._now_us = time_us
+
+    def _deadlines(self) -> list[Deadline]:
+        """All that is due some time; of two at the same time the first in the list goes first."""
+        settings, known = self.settings, self._known
+        deadlines: list[Deadline] = []
+        if self.state in SENDING or self.state is State.READY:
+            for name, stream, limit_s in (
+                ("attitude", known.attitude_stream, settings.telemetry.timeout_s),
+                ("position", known.position_stream, settings.telemetry.position_timeout_s),
+            ):
+                if stream.arrival_us is not None:
+                    silent = self._silence(f"no {name} for {limit_s:g} s")
+                    deadlines.append((stream.arrival_us + microseconds(limit_s), silent))
+        if known.heartbeat is not None:
+            lost_us = known.heartbeat_us + microseconds(settings.telemetry.heartbeat_timeout_s)
+            deadlines.append((lost_us, self._heartbeat_lost))
+        if self._engagement is not None:
+            deadlines.append((engagement_due(self._engagement), self._run_engagement))
+        if self._retry is not None:
+            deadlines.append((retry_due(self._retry), self._run_release))
+        if self.state in SENDING and self._loop is not None and self._loop.sent is not None:
+            deadlines.append((self._loop.sent_us + microseconds(settings.sequence.resend_s), self._resend))
+        if self._gripper_us is not None:
+            deadlines.append((self._gripper_us, self._gripper_silent))
+        if self._request_us is not None:
+            deadlines.append((self._request_us, self._check_rates))
+        deadlines.append((self._own_heartbeat_us, self._beat))
+        return deadlines
+
+    def _silence(self, reason: str) -> Callable[[int], None]:
+        return lambda time_us: self._fault(time_us, reason)
+
+    def _heartbeat_lost(self, time_us: int) -> None:
+        self._request_us = None
+        self._fault(time_us, f"no heartbeat for {self.settings.telemetry.heartbeat_timeout_s:g} s")
+        self._known = telemetry.forget_heartbeat(self._known)
+
+    def _beat(self, time_us: int) -> None:
+        if self.state is State.FAILSAFE:
+            self._emit(events.OwnHeartbeat("critical"))
+        else:
+            self._emit(events.OwnHeartbeat("active" if self.state in SENDING else "standby"))
+        self._own_heartbeat_us = time_us + microseconds(self.settings.sequence.own_heartbeat_s)
+
+    def _check_rates(self, time_us: int) -> None:
+        """While not flying, ask again if too little arrives; say so when asking has not helped."""
+        wanted = self.settings.telemetry
+        self._request_us = time_us + microseconds(wanted.request_interval_s)
+        if self.state not in IDLE or not telemetry.too_slow(wanted, self._known, time_us):
+            return
+        if self._requests < wanted.request_limit:
+            self._request_rates(time_us)
+            return
+        attitude = telemetry.rate_hz(self._known.attitude_stream, time_us)
+        position = telemetry.rate_hz(self._known.position_stream, time_us)
+        self._say_once(Severity.WARNING, f"telemetry stays at {attitude:.0f}/{position:.0f} Hz")
+
+    def _request_rates(self, time_us: int) -> None:
+        wanted = self.settings.telemetry
+        self._requests += 1
+        self._request_us = time_us + microseconds(wanted.request_interval_s)
+        self._emit(
+            events.RequestMessageRates(
+                wanted.attitude_hz, wanted.position_hz, wanted.target_hz, wanted.status_hz
+            )
+        )
+
+    def _resend(self, time_us: int) -> None:
+        """Repeat the last setpoint, so that PX4 sees at least 2 Hz while telemetry is slow."""
+        assert self._loop is not None and self._loop.sent is not None
+        self._emit(self._loop.sent)
+        self._loop = self._loop.resent(time_us)
+
+    def _gripper_silent(self, time_us: int) -> None:
+        self._gripper_us = None
+        self._say(Severity.WARNING, "gripper: no answer; is it enabled?")
+
+    # --------------------------------------------------------------------------- events
+
+    def _dispatch(self, time_us: int, event: Event) -> None:
+        match event:
+            case events.AttitudeReceived():
+                self._on_attitude(time_us, event)
+            case events.PositionReceived():
+                self._on_position(time_us, event)
+            case events.HeartbeatReceived():
+                self._on_heartbeat(time_us, event)
+            case events.TargetReported():
+                self._known = telemetry.receive_target(self._known, time_us, event)
+            case events.ThrottleReported():
+                self._known = telemetry.receive_throttle(self._known, time_us, event)
+            case events.LandedStateReported():
+                self._known = telemetry.receive_landed(self._known, event)
+            case events.CommandAnswered():
+                self._on_answer(time_us, event)
+            case events.EngageRequested():
+                self._engage(time_us)
+            case events.ReleaseRequested():
+                self._release(time_us, event.reason)
+            case events.StatusReceived():
+                pass  # the log has it
+
+    def _on_heartbeat(self, time_us: int, event: events.HeartbeatReceived) -> None:
+        first = self._known.heartbeat is None
+        self._known = telemetry.receive_heartbeat(self._known, time_us, event)
+        if first:
+            self._requests = 0
+            self._said.clear()
+            if self.state in IDLE:
+                self._request_rates(time_us)
+        self._follow_heartbeat(time_us, event)
+
+    def _on_position(self, time_us: int, event: events.PositionReceived) -> None:
+        self._known, sample = telemetry.receive_position(
+            self.settings.telemetry, self.settings.limits, self._known, time_us, event
+        )
+        if sample.fault is not None:
+            self._fault(time_us, sample.fault)
+        else:
+            self._check_limits(time_us)
+
+    def _on_attitude(self, time_us: int, event: events.AttitudeReceived) -> None:
+        self._known, sample = telemetry.receive_attitude(
+            self.settings.telemetry, self.settings.limits, self._known, time_us, event
+        )
+        if sample.fault is not None:
+            self._fault(time_us, sample.fault)
+            return
+        if not sample.accepted:
+            return
+        self._check_limits(time_us)
+        if self._loop is None:
+            self._loop = begin_loop(self.settings, self._known, time_us)
+        elif sample.dt > 0.0:
+            self._control(time_us, sample.dt)
+        if self.state is State.WAITING:
+            self._try_ready(time_us)
+        if self.state is State.READY and self._auto_engage and self._grounded(time_us) is not None:
+            self._auto_engage = False
+            self._engage(time_us)
+
+    def _check_limits(self, time_us: int) -> None:
+        if self.state in SENDING and self._flight is not None:
+            ground = self._flight.scenario.ground
+            outside = telemetry.outside_limits(self.settings.limits, self._known, ground)
+            if outside is not None:
+                self._failsafe(time_us, outside)
+
+    def _try_ready(self, time_us: int) -> None:
+        if (
+            self._loop is not None
+            and telemetry.not_ready(self.settings.telemetry, self._known, time_us) is None
+        ):
+            self.state = State.READY
+            self._say(Severity.INFO, "ready")
+
+    # -------------------------------------------------------------------------- answers
+
+    def _on_answer(self, time_us: int, event: events.CommandAnswered) -> None:
+        """Take in a COMMAND_ACK."""
+        refused = not event.accepted and not event.in_progress
+        match event.action:
+            case "gripper":
+                if self._gripper_us is not None and event.in_progress:
+                    timeout = self.settings.sequence.gripper_timeout_s
+                    self._gripper_us = time_us + microseconds(timeout)
+                elif not event.in_progress:
+                    self._gripper_us = None
+            case "mode" | "arm" | "disarm":
+                if event.accepted:
+                    self._on_accepted(time_us, event.action)
+            case _:
+                pass
+        if refused and event.action != "other":
+            self._say_once(Severity.WARNING, f"{event.action} refused: {event.result_name}")
+
+    def _on_accepted(self, time_us: int, action: str) -> None:
+        """Note that the pending request was accepted, if it is that one."""
+        if self._engagement is not None and self._engagement.retry is not None:
+            if _answers(action, self._engagement.retry.request):
+                retry = accept_retry(self._engagement.retry, time_us)
+                self._engagement = replace(self._engagement, retry=retry)
+        elif self._retry is not None and _answers(action, self._retry.request):
+            self._retry = accept_retry(self._retry, time_us)
+            if self.state is State.FAILSAFE:
+                self._finish(self._outcome)
+
+    # -------------------------------------------------------------------------- control
+
+    def _control(self, time_us: int, dt: float) -> None:
+        """One control step, in shadow or in earnest; the only source of new setpoints."""
+        assert self._loop is not None
+        order = self._order(time_us)
+        self._loop, result = step_loop(self.settings, self._loop, self._known, order, time_us, dt)
+        if order.sending and result.target is not None:
+            self._emit(result.target)
+        self._emit(result.signals)
+        if result.fault is not None:
+            self._fault(time_us, result.fault)
+            return
+        if order.sending:
+            for action in order.directive.gripper:
+                self._emit(events.SetGripper(action))
+                self._gripper_us = time_us + microseconds(self.settings.sequence.gripper_timeout_s)
+            if self.state is State.ENGAGED and order.directive.ending is not None:
+                self._end_flight(time_us, order.directive.ending, order.directive.reason)
+
+    def _order(self, time_us: int) -> Order:
+        """What this step is to do in the present state."""
+        if self.state not in SENDING:
+            return Order(self._level_here(), self.state.value)
+        assert self._flight is not None
+        if self.state is State.ENGAGING:
+            return self._order_engaging(time_us)
+        grounded = self.state is State.RELEASING and self._flight.phase is not Phase.AIR
+        if grounded:
+            directive = self._idle()
+        else:
+            segments = self.settings.scenario if self.state is State.ENGAGED else ()
+            self._flight, directive = step_flight(
+                self.settings, segments, self._flight, self._flight_sample(time_us)
+            )
+        airborne = directive.ground_thrust is None
+        return Order(directive, self.state.value, sending=True, acting=True, airborne=airborne)
+
+    def _order_engaging(self, time_us: int) -> Order:
+        assert self._flight is not None and self._engagement is not None
+        name = self.state.value
+        if self._engagement.grounded:
+            return Order(self._idle(), name, sending=True, acting=True)
+        capture = self._engagement.phase is EngagePhase.STREAM or self._capture
+        self._capture = False
+        if capture:
+            here = self._level_here()
+            self._flight = begin_flight(time_us, True, here.reference[3], here.reference[2])
+        scenario = self._flight.scenario
+        reference = (0.0, 0.0, scenario.yaw, scenario.hold_altitude)
+        acting = mode_granted(self._engagement)
+        directive = Directive(reference, align=capture)
+        return Order(directive, name, sending=True, acting=acting, capture=capture, airborne=True)
+
+    def _level_here(self) -> Directive:
+        """Stay here: what the controller would want if it were engaged now."""
+        assert self._known.attitude is not None and self._loop is not None
+        return Directive((0.0, 0.0, self._known.attitude.attitude[2], self._loop.hold_altitude), align=True)
+
+    def _idle(self) -> Directive:
+        """On the ground, no thrust."""
+        assert self._flight is not None
+        scenario = self._flight.scenario
+        return Directive((0.0, 0.0, scenario.yaw, scenario.hold_altitude), ground_thrust=0.0, align=True)
+
+    def _flight_sample(self, time_us: int) -> FlightSample:
+        known, loop = self._known, self._loop
+        assert known.position is not None and loop is not None
+        powered_us = None
+        if known.armed_since_us is not None and known.heartbeat is not None:
+            flight = self.settings.flight
+            px4 = known.heartbeat.firmware == "px4"
+            spool_s = flight.px4_spool_time_s if px4 else flight.ardupilot_spool_time_s
+            powered_us = known.armed_since_us + microseconds(spool_s)
+        return FlightSample(
+            time_us=time_us,
+            altitude=loop.altitude,
+            climb_rate=known.position.velocity[2],
+            thrust=loop.sent.thrust if loop.sent is not None else 0.0,
+            vertical_thrust=loop.vertical_thrust,
+            on_ground=known.on_ground,
+            powered_us=powered_us,
+        )
+
+
+def _answers(action: str, request: SetMode | SetArmed) -> bool:
+    if isinstance(request, SetMode):
+        return action == "mode"
+    return action == ("arm" if request.armed else "disarm")

@@ -1,0 +1,377 @@
+"""Taking control and giving it back: the transitions of the offboard service.
+
+The half of `service.Service` that decides; the other half (`service.py`) keeps time and makes the
+control steps. Everything that changes `state` is here, except waiting -> ready.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from enum import Enum
+
+from kffa_offboard.offboard import events, sequence, telemetry
+from kffa_offboard.offboard.events import Announce, ModeKind, Output, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.flight import (
+    Ending,
+    FlightState,
+    Phase,
+    abandon_takeoff,
+    begin_flight,
+    hold_here,
+    start_scenario,
+)
+from kffa_offboard.offboard.loop import LoopState, forget_sent
+from kffa_offboard.offboard.segments import Land, starts_on_ground
+from kffa_offboard.offboard.sequence import Engagement, EngagePhase, EngageStep, Retry, begin_retry
+from kffa_offboard.offboard.settings import ServiceSettings
+
+
+class State(Enum):
+    """Where the service is."""
+
+    WAITING = "waiting"
+    READY = "ready"
+    ENGAGING = "engaging"
+    ENGAGED = "engaged"
+    RELEASING = "releasing"
+    FAILSAFE = "failsafe"
+
+
+SENDING = frozenset({State.ENGAGING, State.ENGAGED, State.RELEASING})
+IDLE = frozenset({State.WAITING, State.READY})
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """The service has done what it was started for, or has given up; it will not take control again."""
+
+    successful: bool
+    reason: str
+
+
+class Session:
+    """State and transitions of the service; use `service.Service`.
+
+    Attributes
+    ----------
+    settings : as given
+    state : present state
+    finished : None while the service may still fly
+    """
+
+    def __init__(self, settings: ServiceSettings) -> None:
+        self.settings = settings
+        self.state = State.WAITING
+        self.finished: Finished | None = None
+        self._now_us: int | None = None
+        self._outputs: list[Output] = []
+        self._known = telemetry.Telemetry()
+        self._loop: LoopState | None = None
+        self._flight: FlightState | None = None
+        self._engagement: Engagement | None = None
+        self._retry: Retry | None = None
+        self._outcome = Finished(True, "")
+        self._armed_here = False
+        self._offboard_mode = 0
+        self._auto_engage = settings.engage and not settings.shadow
+        self._capture = False
+        self._said: set[str] = set()
+        self._own_heartbeat_us = 0
+        self._request_us: int | None = None
+        self._requests = 0
+        self._gripper_us: int | None = None
+
+    @property
+    def counts(self) -> tuple[int, int, int]:
+        """Dropped attitude samples, dropped position samples, messages with numbers that are not finite."""
+        known = self._known
+        return known.attitude_stream.dropped, known.position_stream.dropped, known.invalid
+
+    def _emit(self, *outputs: Output) -> None:
+        self._outputs.extend(outputs)
+
+    def _say(self, severity: Severity, text: str) -> None:
+        self._emit(Announce(severity, text))
+
+    def _say_once(self, severity: Severity, text: str) -> None:
+        if text not in self._said:
+            self._said.add(text)
+            self._say(severity, text)
+
+    # ------------------------------------------------------------------------- engaging
+
+    def _grounded(self, time_us: int) -> bool | None:
+        """Is the vehicle on the ground? None if that cannot be told: then there is no engaging."""
+        known = self._known
+        if known.heartbeat is None:
+            return None
+        if not known.heartbeat.armed:
+            return True
+        thrust = telemetry.reported_thrust(self.settings.telemetry, known, time_us)
+        little = self.settings.flight.touchdown_thrust_fraction * self.settings.hover_thrust
+        if known.on_ground is None:
+            return None if thrust is None else thrust < little
+        if known.on_ground and thrust is not None and thrust >= little:
+            return None
+        return known.on_ground
+
+    def _refusal(self, time_us: int) -> str | None:
+        """Why control cannot be taken now."""
+        if self.finished is not None:
+            return "finished; start the daemon again"
+        if self.settings.shadow:
+            return "shadow mode"
+        if self.state is State.WAITING:
+            return telemetry.not_ready(self.settings.telemetry, self._known, time_us) or "not ready"
+        if self.state is not State.READY:
+            return f"already {self.state.value}"
+        grounded = self._grounded(time_us)
+        if grounded is None:
+            return "cannot tell whether it flies"
+        if grounded and not starts_on_ground(self.settings.scenario):
+            return "on the ground, and no take-off first"
+        return telemetry.outside_limits(self.settings.limits, self._known, self._ground_level(grounded))
+
+    def _ground_level(self, grounded: bool) -> float:
+        return self._loop.altitude if grounded and self._loop is not None else 0.0
+
+    def _engage(self, time_us: int) -> None:
+        """Take control, or say why not."""
+        refusal = self._refusal(time_us)
+        if refusal is not None:
+            self._say(Severity.WARNING, f"not engaged: {refusal}")
+            return
+        known = self._known
+        grounded = self._grounded(time_us)
+        assert known.heartbeat is not None and known.attitude is not None and known.position is not None
+        assert grounded is not None and self._loop is not None
+        self._engagement = sequence.begin_engagement(
+            self.settings.sequence, time_us, known.heartbeat, grounded
+        )
+        altitude = self._loop.altitude if grounded else self._loop.hold_altitude
+        self._flight = begin_flight(time_us, not grounded, altitude, known.attitude.attitude[2])
+        self._loop = forget_sent(self._loop)
+        self._said.clear()
+        self._armed_here = False
+        self._capture = False
+        self.state = State.ENGAGING
+        self._say(Severity.NOTICE, f"engaging {'on the ground' if grounded else 'in the air'}")
+
+    def _run_engagement(self, time_us: int) -> None:
+        assert self._engagement is not None and self._known.heartbeat is not None
+        step = sequence.run_engagement(
+            self.settings.sequence, self.settings.arm, self._engagement, time_us, self._known.heartbeat
+        )
+        self._follow_engagement(time_us, step)
+
+    def _follow_engagement(self, time_us: int, step: EngageStep) -> None:
+        was_waiting = self._engagement is not None and self._engagement.phase is EngagePhase.PERSON
+        self._engagement = step.engagement
+        self._emit(*step.outputs)
+        if SetMode(ModeKind.OFFBOARD) in step.outputs:
+            self._capture = True
+        if step.takeover is not None:
+            self._take_over(step.takeover)
+        elif step.failure is not None:
+            if step.engagement.arm_asked:
+                self._emit(SetArmed(False))  # so that a late answer does not leave it armed
+            self._let_go(State.READY)
+            self._say(Severity.WARNING, f"not engaged: {step.failure}")
+        elif step.complete:
+            assert self._known.heartbeat is not None and self._flight is not None
+            self._armed_here = step.engagement.arm_asked
+            self._offboard_mode = self._known.heartbeat.custom_mode
+            self._engagement = None
+            self._flight = start_scenario(self._flight, time_us)
+            self.state = State.ENGAGED
+            self._say(Severity.NOTICE, "engaged")
+        elif step.engagement.phase is EngagePhase.PERSON and not was_waiting:
+            self._say(Severity.WARNING, "flies as soon as a person arms")
+
+    def _follow_heartbeat(self, time_us: int, event: events.HeartbeatReceived) -> None:
+        """What a heartbeat means for the present state."""
+        offboard = event.mode is ModeKind.OFFBOARD
+        match self.state:
+            case State.ENGAGING:
+                assert self._engagement is not None
+                step = sequence.heartbeat_in_engagement(
+                    self.settings.sequence, self.settings.arm, self._engagement, time_us, event
+                )
+                self._follow_engagement(time_us, step)
+            case State.ENGAGED:
+                if not event.armed:
+                    self._disarmed_in_flight()
+                elif not offboard or event.custom_mode != self._offboard_mode:
+                    self._take_over(f"mode {event.mode_name}")
+            case State.RELEASING:
+                if not offboard or not event.armed:
+                    self._finish(self._outcome)
+            case State.FAILSAFE:
+                if self._retry is not None and (not offboard or not event.armed):
+                    self._finish(self._outcome)
+            case _:
+                pass
+
+    def _disarmed_in_flight(self) -> None:
+        """The autopilot's own disarming after landing is no surprise; any other is somebody's decision."""
+        flight = self._flight
+        assert flight is not None
+        index, scenario = flight.scenario.index, self.settings.scenario
+        landing = index < len(scenario) and isinstance(scenario[index], Land)
+        if flight.phase is Phase.TOUCHDOWN or (landing and flight.seen_in_air and self._known.on_ground):
+            self._finish(Finished(flight.failure is None, flight.failure or "scenario done, landed"))
+        else:
+            self._take_over("disarmed")
+
+    def _take_over(self, what: str) -> None:
+        """Somebody else decided: stop at once; only a new request engages again."""
+        self._auto_engage = False
+        self._let_go(State.READY)
+        self._say(Severity.WARNING, f"control given up: {what}")
+
+    def _let_go(self, state: State) -> None:
+        """Nothing is in the daemon's hands any more."""
+        self.state = state
+        self._engagement = None
+        self._flight = None
+        self._retry = None
+        self._gripper_us = None
+        if self._loop is not None:
+            self._loop = forget_sent(self._loop)
+
+    def _finish(self, outcome: Finished) -> None:
+        """The end of this run; a failsafe stays one."""
+        self._let_go(State.FAILSAFE if self.state is State.FAILSAFE else State.READY)
+        self._auto_engage = False
+        self.finished = outcome
+        severity = Severity.NOTICE if outcome.successful else Severity.WARNING
+        self._say(severity, f"released: {outcome.reason}")
+
+    # ------------------------------------------------------------------------ releasing
+
+    def _release(self, time_us: int, reason: str) -> None:
+        """Somebody asks the daemon to give control back."""
+        outcome = Finished(True, reason)
+        if self.state in IDLE:
+            if self.finished is None:
+                self._finish(outcome)
+        elif self.state is State.ENGAGING:
+            assert self._engagement is not None
+            if self._engagement.grounded:
+                self._armed_here = self._engagement.arm_asked
+                self._release_on_ground(time_us, outcome)
+            elif self._engagement.phase is EngagePhase.STREAM:
+                self._finish(outcome)
+            else:
+                self._release_in_air(time_us, outcome)
+        elif self.state is State.ENGAGED:
+            assert self._flight is not None
+            if self._flight.phase is Phase.AIR:
+                self._release_in_air(time_us, outcome)
+            elif self._flight.phase is Phase.GROUND:
+                self._release_on_ground(time_us, outcome)
+            elif self._flight.phase is Phase.RAMP:
+                sent = self._loop.sent if self._loop is not None else None
+                thrust = sent.thrust if sent is not None else 0.0
+                self._flight = abandon_takeoff(self._flight, time_us, thrust, None)
+
+    def _end_flight(self, time_us: int, ending: Ending, reason: str | None) -> None:
+        """The scenario is over."""
+        match ending:
+            case Ending.LANDED:
+                self._release_on_ground(time_us, Finished(reason is None, reason or "scenario done, landed"))
+            case Ending.IN_AIR:
+                self._release_in_air(time_us, Finished(True, "scenario done, in the air"))
+            case Ending.FAULT:
+                self._failsafe(time_us, reason or "scenario cannot go on")
+
+    def _release_on_ground(self, time_us: int, outcome: Finished) -> None:
+        """Disarm what was armed here; what a person armed is left to the autopilot's LAND mode."""
+        timing = self.settings.sequence
+        heartbeat = self._known.heartbeat
+        if not self._armed_here and (heartbeat is None or not heartbeat.armed):
+            self._finish(outcome)
+            return
+        if self._armed_here:
+            retry = begin_retry(SetArmed(False), time_us, timing.disarm_retry_s, timing.disarm_timeout_s)
+        else:
+            land = SetMode(ModeKind.LAND)
+            retry = begin_retry(land, time_us, timing.hold_retry_s, timing.hold_timeout_s)
+        assert self._flight is not None
+        self._flight = replace(self._flight, phase=Phase.GROUND)
+        self._begin_release(time_us, retry, outcome)
+
+    def _release_in_air(self, time_us: int, outcome: Finished) -> None:
+        """Hold here and ask for HOLD; setpoints go on until a heartbeat shows another mode."""
+        assert self._flight is not None and self._loop is not None
+        timing = self.settings.sequence
+        self._flight = hold_here(self._flight, self._loop.hold_altitude)
+        hold = SetMode(ModeKind.HOLD)
+        retry = begin_retry(hold, time_us, timing.hold_retry_s, timing.hold_timeout_s)
+        self._begin_release(time_us, retry, outcome)
+
+    def _begin_release(self, time_us: int, retry: Retry, outcome: Finished) -> None:
+        self.state = State.RELEASING
+        self._engagement = None
+        self._retry = retry
+        self._outcome = outcome
+        self._run_release(time_us)
+
+    def _run_release(self, time_us: int) -> None:
+        """Run the request of releasing or failsafe at its deadline."""
+        assert self._retry is not None
+        self._retry, outputs, expired = sequence.run_retry(self._retry, time_us)
+        self._emit(*outputs)
+        if not expired:
+            return
+        timing = self.settings.sequence
+        request, outcome = self._retry.request, self._outcome
+        if self.state is State.FAILSAFE or self._retry.accepted_us is not None:
+            self._finish(outcome)
+        elif isinstance(request, SetArmed):
+            self._say(Severity.CRITICAL, "still armed on the ground: keep away")
+            land = SetMode(ModeKind.LAND)
+            retry = begin_retry(land, time_us, timing.hold_retry_s, timing.hold_timeout_s)
+            self._begin_release(time_us, retry, Finished(False, "disarming was refused"))
+        else:
+            reason = f"{request.mode.name} not confirmed; setpoints stopped"
+            self._finish(Finished(False, reason))
+
+    # ------------------------------------------------------------------------- failsafe
+
+    def _fault(self, time_us: int, reason: str) -> None:
+        """Telemetry is not to be trusted: failsafe if in control, else begin anew."""
+        if self.state in SENDING:
+            self._failsafe(time_us, reason)
+            return
+        if self.state is State.READY:
+            self.state = State.WAITING
+            self._say(Severity.WARNING, f"not ready: {reason}")
+        self._known = telemetry.forget_samples(self._known)
+        self._loop = None
+
+    def _failsafe(self, time_us: int, reason: str) -> None:
+        """Give up control in the configured way."""
+        request = self._failsafe_request()
+        self._let_go(State.FAILSAFE)
+        self._say(Severity.CRITICAL, f"failsafe: {reason}")
+        self._outcome = Finished(False, f"failsafe: {reason}")
+        if request is None:
+            self._finish(self._outcome)
+            return
+        timing = self.settings.sequence
+        self._retry = begin_retry(request, time_us, timing.hold_retry_s, timing.hold_timeout_s)
+        self._run_release(time_us)
+
+    def _failsafe_request(self) -> SetMode | SetArmed | None:
+        """On the ground disarm what was armed here; in the air the configured mode, if any."""
+        flight, engagement = self._flight, self._engagement
+        if flight is not None and flight.phase is Phase.GROUND:
+            armed_here = engagement.arm_asked if engagement is not None else self._armed_here
+            return SetArmed(False) if armed_here else None
+        if engagement is not None and engagement.phase is EngagePhase.STREAM:
+            return None
+        action = self.settings.failsafe_action
+        if action == "stop":
+            return None
+        return SetMode(ModeKind.HOLD if action == "hold" else ModeKind.LAND)

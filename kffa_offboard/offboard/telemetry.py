@@ -1,0 +1,276 @@
+"""What is known of the vehicle from its telemetry, and whether that can be trusted.
+
+Pure functions over a frozen `Telemetry`. The autopilot's sample time gives the steps of the
+controller; the arrival time decides about rates and silence. A sample whose clock does not advance
+is dropped and counted; that a frozen stream is no telemetry follows, because only accepted
+samples count as arrived.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from math import cos, isfinite, pi
+
+from kffa_offboard.offboard.events import (
+    AttitudeReceived,
+    HeartbeatReceived,
+    LandedStateReported,
+    PositionReceived,
+    TargetReported,
+    ThrottleReported,
+)
+from kffa_offboard.offboard.settings import LimitSettings, TelemetrySettings
+
+_WINDOW_US = 1_000_000  # over which rates are measured
+
+
+@dataclass(frozen=True, slots=True)
+class Stream:
+    """Arrival of one kind of sample.
+
+    Attributes
+    ----------
+    sample_us : autopilot's clock of the last accepted sample
+    arrival_us : when it arrived
+    arrivals : arrival times within the last second
+    repeats : dropped samples in a row
+    dropped : dropped samples in all
+    """
+
+    sample_us: int | None = None
+    arrival_us: int | None = None
+    arrivals: tuple[int, ...] = ()
+    repeats: int = 0
+    dropped: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Telemetry:
+    """The last of everything, and since when it has been flowing without a break."""
+
+    attitude: AttitudeReceived | None = None
+    position: PositionReceived | None = None
+    attitude_stream: Stream = field(default_factory=Stream)
+    position_stream: Stream = field(default_factory=Stream)
+    heartbeat: HeartbeatReceived | None = None
+    heartbeat_us: int = 0
+    armed_since_us: int | None = None
+    target: TargetReported | None = None
+    target_us: int = 0
+    throttle: float | None = None
+    throttle_us: int = 0
+    on_ground: bool | None = None
+    steady_since_us: int | None = None
+    invalid: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """Outcome of one sample: accepted with the step `dt` [s] (0 for the first), dropped, or a fault."""
+
+    accepted: bool
+    dt: float = 0.0
+    fault: str | None = None
+
+
+def rate_hz(stream: Stream, now_us: int) -> float:
+    """Accepted samples in the second before `now_us`."""
+    return float(sum(1 for arrival in stream.arrivals if arrival > now_us - _WINDOW_US))
+
+
+def _accept(stream: Stream, sample_us: int, arrival_us: int) -> Stream:
+    first = next(
+        (k for k, t in enumerate(stream.arrivals) if t > arrival_us - _WINDOW_US), len(stream.arrivals)
+    )
+    arrivals = (*stream.arrivals[first:], arrival_us)
+    return replace(stream, sample_us=sample_us, arrival_us=arrival_us, arrivals=arrivals, repeats=0)
+
+
+def _sample(
+    settings: TelemetrySettings, stream: Stream, sample_us: int, arrival_us: int, gap_s: float
+) -> tuple[Stream, Sample]:
+    """Accept a sample into its stream if its clock advances."""
+    if stream.sample_us is None:
+        return _accept(stream, sample_us, arrival_us), Sample(True)
+    dt = (sample_us - stream.sample_us) * 1e-6
+    if dt <= 0.0:
+        stream = replace(stream, repeats=stream.repeats + 1, dropped=stream.dropped + 1)
+        if stream.repeats > settings.repeated_samples_max:
+            return stream, Sample(False, fault=f"{stream.repeats} samples with a standing clock")
+        return stream, Sample(False)
+    if dt > gap_s:
+        return stream, Sample(False, fault=f"{dt:.2f} s between samples, {gap_s:.2f} allowed")
+    return _accept(stream, sample_us, arrival_us), Sample(True, dt)
+
+
+def _turn(angle: float) -> float:
+    return (angle + pi) % (2.0 * pi) - pi
+
+
+def _attitude_fault(
+    limits: LimitSettings, last: AttitudeReceived, new: AttitudeReceived, dt: float
+) -> str | None:
+    jump = max(abs(_turn(b - a)) for a, b in zip(last.attitude, new.attitude, strict=True))
+    allowed = limits.attitude_jump_rad + limits.attitude_rate_max_rad_s * dt
+    if jump > allowed:
+        return f"attitude jumped {jump:.2f} rad, {allowed:.2f} possible"
+    return None
+
+
+def receive_attitude(
+    settings: TelemetrySettings,
+    limits: LimitSettings,
+    known: Telemetry,
+    time_us: int,
+    event: AttitudeReceived,
+) -> tuple[Telemetry, Sample]:
+    """Take in one attitude sample."""
+    if not all(isfinite(number) for number in (*event.attitude, *event.body_rates)):
+        return replace(known, invalid=known.invalid + 1), Sample(False, fault="attitude is not finite")
+    stream, sample = _sample(
+        settings, known.attitude_stream, event.sample_time_us, time_us, settings.timeout_s
+    )
+    if sample.accepted and known.attitude is not None and sample.dt > 0.0:
+        fault = _attitude_fault(limits, known.attitude, event, sample.dt)
+        if fault is not None:
+            return known, Sample(False, fault=fault)
+    known = _steady(settings, known, time_us)
+    known = replace(known, attitude_stream=stream)
+    return (replace(known, attitude=event), sample) if sample.accepted else (known, sample)
+
+
+def receive_position(
+    settings: TelemetrySettings,
+    limits: LimitSettings,
+    known: Telemetry,
+    time_us: int,
+    event: PositionReceived,
+) -> tuple[Telemetry, Sample]:
+    """Take in one position sample."""
+    if not all(isfinite(number) for number in (*event.position, *event.velocity)):
+        return replace(known, invalid=known.invalid + 1), Sample(False, fault="position is not finite")
+    stream, sample = _sample(
+        settings, known.position_stream, event.sample_time_us, time_us, settings.position_timeout_s
+    )
+    if sample.accepted and known.position is not None and sample.dt > 0.0:
+        jump = abs(event.position[2] - known.position.position[2])
+        allowed = limits.altitude_jump_m + limits.climb_rate_max_m_s * sample.dt
+        if jump > allowed:
+            return known, Sample(False, fault=f"altitude jumped {jump:.2f} m, {allowed:.2f} possible")
+    known = _steady(settings, known, time_us)
+    known = replace(known, position_stream=stream)
+    return (replace(known, position=event), sample) if sample.accepted else (known, sample)
+
+
+def _steady(settings: TelemetrySettings, known: Telemetry, time_us: int) -> Telemetry:
+    """Begin, keep or restart the unbroken stretch of telemetry."""
+    attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us
+    if attitude_us is None or position_us is None:
+        return known
+    if time_us - attitude_us >= round(settings.timeout_s * 1e6) or time_us - position_us >= round(
+        settings.position_timeout_s * 1e6
+    ):
+        return replace(known, steady_since_us=time_us)
+    return known if known.steady_since_us is not None else replace(known, steady_since_us=time_us)
+
+
+def forget_samples(known: Telemetry) -> Telemetry:
+    """Begin anew after a fault outside flight; counts and everything but the samples stay."""
+    return replace(
+        known,
+        attitude=None,
+        position=None,
+        attitude_stream=Stream(dropped=known.attitude_stream.dropped),
+        position_stream=Stream(dropped=known.position_stream.dropped),
+        steady_since_us=None,
+    )
+
+
+def forget_heartbeat(known: Telemetry) -> Telemetry:
+    """The autopilot is silent: mode and arming state are unknown."""
+    return replace(known, heartbeat=None, armed_since_us=None)
+
+
+def receive_landed(known: Telemetry, event: LandedStateReported) -> Telemetry:
+    """Take in the landed state."""
+    return replace(known, on_ground=event.on_ground)
+
+
+def receive_heartbeat(known: Telemetry, time_us: int, event: HeartbeatReceived) -> Telemetry:
+    """Take in a heartbeat; notes since when the vehicle is armed."""
+    since = known.armed_since_us if known.armed_since_us is not None else time_us
+    return replace(
+        known, heartbeat=event, heartbeat_us=time_us, armed_since_us=since if event.armed else None
+    )
+
+
+def receive_target(known: Telemetry, time_us: int, event: TargetReported) -> Telemetry:
+    """Take in what the autopilot commands; parts that are not finite are not to be trusted."""
+    thrust = event.thrust if event.thrust is not None and isfinite(event.thrust) else None
+    rates = (
+        event.body_rates if event.body_rates is not None and all(map(isfinite, event.body_rates)) else None
+    )
+    attitude = event.attitude if event.attitude is not None and all(map(isfinite, event.attitude)) else None
+    repaired = replace(event, thrust=thrust, body_rates=rates, attitude=attitude)
+    invalid = known.invalid + (0 if repaired == event else 1)
+    return replace(known, target=repaired, target_us=time_us, invalid=invalid)
+
+
+def receive_throttle(known: Telemetry, time_us: int, event: ThrottleReported) -> Telemetry:
+    """Take in the throttle; one that is not finite is counted and ignored."""
+    if not isfinite(event.throttle):
+        return replace(known, invalid=known.invalid + 1)
+    return replace(known, throttle=event.throttle, throttle_us=time_us)
+
+
+def reported_target(settings: TelemetrySettings, known: Telemetry, time_us: int) -> TargetReported | None:
+    """The autopilot's own target, unless it is too old."""
+    fresh = time_us - known.target_us <= round(settings.report_timeout_s * 1e6)
+    return known.target if fresh else None
+
+
+def reported_thrust(settings: TelemetrySettings, known: Telemetry, time_us: int) -> float | None:
+    """Thrust that the autopilot applies: its target's, else the throttle, else None."""
+    target = reported_target(settings, known, time_us)
+    if target is not None and target.thrust is not None:
+        return target.thrust
+    fresh = time_us - known.throttle_us <= round(settings.report_timeout_s * 1e6)
+    return known.throttle if fresh else None
+
+
+def not_ready(settings: TelemetrySettings, known: Telemetry, time_us: int) -> str | None:
+    """Why the service is not ready, or None if it is."""
+    if known.heartbeat is None:
+        return "no heartbeat"
+    for name, stream, minimum in (
+        ("attitude", known.attitude_stream, settings.minimum_attitude_hz),
+        ("position", known.position_stream, settings.minimum_position_hz),
+    ):
+        rate, needed = rate_hz(stream, time_us), settings.rate_fraction * minimum
+        if rate < needed:
+            return f"{name} telemetry {rate:.0f} Hz, {needed:.0f} needed"
+    if known.steady_since_us is None or time_us - known.steady_since_us < round(settings.settle_time_s * 1e6):
+        return "estimates are settling"
+    return None
+
+
+def too_slow(settings: TelemetrySettings, known: Telemetry, time_us: int) -> bool:
+    """Telemetry is below `rate_fraction` of what was asked for."""
+    return (
+        rate_hz(known.attitude_stream, time_us) < settings.rate_fraction * settings.attitude_hz
+        or rate_hz(known.position_stream, time_us) < settings.rate_fraction * settings.position_hz
+    )
+
+
+def outside_limits(limits: LimitSettings, known: Telemetry, ground: float) -> str | None:
+    """Name the measured quantity that is out of its limits; altitude counts from `ground` [m]."""
+    if known.attitude is not None:
+        roll, pitch, _ = known.attitude.attitude
+        if abs(roll) > 0.5 * pi or cos(roll) * cos(pitch) < cos(limits.tilt_failsafe_rad):
+            return f"tilt beyond {limits.tilt_failsafe_rad:.2f} rad"
+    if known.position is not None:
+        altitude = known.position.position[2] - ground
+        if not limits.altitude_min_m <= altitude <= limits.altitude_max_m:
+            bounds = f"{limits.altitude_min_m:.1f} .. {limits.altitude_max_m:.1f}"
+            return f"altitude {altitude:.1f} m outside {bounds}"
+    return None

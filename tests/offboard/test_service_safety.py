@@ -1,0 +1,390 @@
+"""The pilot wins at once, silence wins too, and what cannot be true is not flown on."""
+
+from dataclasses import replace
+from math import nan
+
+import numpy as np
+import pytest
+
+from kffa_offboard.control import controllers
+from kffa_offboard.offboard import events
+from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.segments import Hold, Takeoff
+from kffa_offboard.offboard.service import Finished, State
+
+SENT = (AttitudeTarget, SetMode, SetArmed, events.SetGripper)
+
+
+def hovering(fake, **changes):
+    """Engaged in the air at 3 m."""
+    flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),), **changes), fake.airborne())
+    flight.run_to(State.ENGAGED)
+    flight.run(1.0)
+    flight.log.clear()
+    return flight
+
+
+def assert_silent(flight, seconds=3.0):
+    flight.log.clear()
+    flight.run(seconds)
+    assert not flight.sent(SENT)
+
+
+def assert_failsafe(flight, reason):
+    assert flight.service.state is State.FAILSAFE
+    assert flight.service.finished == Finished(False, f"failsafe: {reason}")
+    assert (Severity.CRITICAL, f"failsafe: {reason}") in [
+        (output.severity, output.text) for _, output in flight.sent(events.Announce)
+    ]
+
+
+# ------------------------------------------------------------------------------ the pilot
+
+
+@pytest.mark.parametrize("mode", [ModeKind.OTHER, ModeKind.HOLD, ModeKind.LAND])
+def test_another_mode_ends_sending_within_the_same_call(fake, mode):
+    flight = hovering(fake)
+    flight.vehicle.mode = mode
+    flight.give(flight.vehicle.heartbeat())
+    assert flight.service.state is State.READY
+    assert flight.service.finished is None
+    assert flight.texts == [f"control given up: mode {mode.name}"]
+    assert_silent(flight)
+
+
+def test_another_mode_of_the_same_kind_is_the_pilots_too(fake):
+    flight = hovering(fake)
+    flight.give(replace(flight.vehicle.heartbeat(), custom_mode=20, mode_name="GUIDED_NOGPS"))
+    assert flight.texts == ["control given up: mode GUIDED_NOGPS"]
+    assert_silent(flight)
+
+
+def test_disarming_in_flight_ends_sending(fake):
+    flight = hovering(fake)
+    flight.vehicle.armed = False
+    flight.give(flight.vehicle.heartbeat())
+    assert flight.texts == ["control given up: disarmed"]
+    assert_silent(flight)
+
+
+def test_after_the_pilot_took_over_only_a_request_engages_again(fake):
+    flight = hovering(fake)
+    flight.vehicle.mode = ModeKind.HOLD
+    flight.give(flight.vehicle.heartbeat())
+    assert_silent(flight, 5.0)
+    flight.vehicle.mode = ModeKind.OFFBOARD  # even this is no request
+    assert_silent(flight, 3.0)
+    flight.vehicle.mode = ModeKind.HOLD
+    flight.run(1.5)
+    flight.give(events.EngageRequested())
+    flight.run_to(State.ENGAGED, 3.0)
+
+
+def test_the_pilot_wins_while_engaging(fake):
+    flight = fake.Lockstep(fake.settings(), fake.airborne(grants_mode=False)).run_to(State.ENGAGING)
+    flight.run(0.5)
+    flight.vehicle.mode = ModeKind.OTHER
+    flight.give(flight.vehicle.heartbeat())
+    assert flight.service.state is State.READY
+    assert_silent(flight)
+
+
+def test_a_mode_that_was_granted_and_taken_back_is_not_asked_for_again(fake):
+    flight = fake.Lockstep(fake.settings(), fake.airborne()).run_to(State.ENGAGING)
+    flight.run(5.0, lambda: flight.vehicle.mode is ModeKind.OFFBOARD)
+    flight.mute = {events.HeartbeatReceived}
+    flight.vehicle.mode = ModeKind.HOLD
+    flight.run(0.2)
+    flight.mute = set()
+    flight.give(flight.vehicle.heartbeat())
+    assert flight.service.state is State.ENGAGING, "a heartbeat this early may be an old one"
+    flight.mute = {events.HeartbeatReceived}
+    flight.run(0.3)
+    flight.mute = set()
+    flight.give(flight.vehicle.heartbeat())
+    assert flight.service.state is State.READY
+    assert len(flight.sent(SetMode)) == 1
+    assert_silent(flight)
+
+
+def test_disarming_while_engaging_ends_it(fake):
+    flight = fake.Lockstep(fake.settings(), fake.airborne()).run_to(State.ENGAGING)
+    flight.vehicle.armed = False
+    flight.give(flight.vehicle.heartbeat())
+    assert flight.texts[-1] == "control given up: disarmed"
+    assert_silent(flight)
+
+
+@pytest.mark.parametrize("change", [{"armed": False}, {"mode": ModeKind.OTHER}])
+def test_the_pilot_wins_while_releasing(fake, change):
+    flight = hovering(fake)
+    flight.vehicle.grants_mode = False
+    flight.give(events.ReleaseRequested("by hand"))
+    for name, value in change.items():
+        setattr(flight.vehicle, name, value)
+    flight.give(flight.vehicle.heartbeat())
+    assert flight.service.finished == Finished(True, "by hand")
+    assert_silent(flight)
+
+
+# -------------------------------------------------------------------------------- shadow
+
+
+def test_in_shadow_nothing_is_sent_but_requests_heartbeats_and_lines(fake):
+    flight = fake.Lockstep(fake.settings(shadow=True), fake.airborne())
+    flight.run(2.0)
+    flight.give(events.EngageRequested())
+    flight.run(1.0)
+    flight.vehicle.mode = ModeKind.OFFBOARD
+    flight.run(2.0)
+    kinds = {type(output) for _, output in flight.log}
+    assert kinds == {events.RequestMessageRates, events.Announce, events.Signals, events.OwnHeartbeat}
+
+
+# ------------------------------------------------------------------------------ failsafe
+
+
+@pytest.mark.parametrize(
+    ("kind", "seconds", "reason"),
+    [
+        (events.AttitudeReceived, 0.25, "no attitude for 0.25 s"),
+        (events.PositionReceived, 0.25, "no position for 0.25 s"),
+        (events.HeartbeatReceived, 3.0, "no heartbeat for 3 s"),
+    ],
+)
+def test_silence_is_a_failsafe_at_its_nominal_time(fake, kind, seconds, reason):
+    flight = hovering(fake)
+    flight.run(1.1, lambda: (flight.time_us - flight.start_us) // fake.tick_us % 100 == 1)
+    flight.mute = {kind}
+    silent_since = flight.time_us
+    flight.run(4.0, lambda: flight.service.finished is not None)
+    assert_failsafe(flight, reason)
+    time = flight.sent(events.Announce)[0][0]
+    assert (time - silent_since) * 1e-6 == pytest.approx(seconds)
+    flight.mute = set()
+    assert_silent(flight)
+
+
+def test_an_event_that_comes_after_the_timeout_finds_the_failsafe_already_there(fake):
+    flight = hovering(fake)
+    now = flight.time_us + 300_000
+    outputs = flight.service.handle(now, events.AttitudeReceived(now, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    assert flight.service.state is State.FAILSAFE
+    assert not any(isinstance(output, AttitudeTarget) for output in outputs[1:])
+
+
+def test_a_frozen_stream_is_a_failsafe(fake):
+    flight = hovering(fake)
+    frozen = flight.time_us
+    flight.change = lambda event: (
+        replace(event, sample_time_us=frozen) if isinstance(event, events.AttitudeReceived) else event
+    )
+    flight.run(0.3)
+    assert flight.service.state is State.FAILSAFE
+    assert flight.service.counts[0] > 15
+
+
+def test_single_repeated_samples_are_tolerated(fake):
+    flight = hovering(fake)
+    flight.change = lambda event: (
+        replace(event, sample_time_us=event.sample_time_us - event.sample_time_us % 20_000)
+        if isinstance(event, events.AttitudeReceived)
+        else event
+    )
+    flight.run(2.0)
+    assert flight.service.state is State.ENGAGED
+    assert flight.service.counts[0] == pytest.approx(100, abs=2)
+
+
+def corrupt(**changes):
+    def change(event):
+        return replace(event, **changes)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "reason"),
+    [
+        (events.AttitudeReceived, {"attitude": (nan, 0.0, 0.0)}, "attitude is not finite"),
+        (events.AttitudeReceived, {"body_rates": (0.0, nan, 0.0)}, "attitude is not finite"),
+        (events.PositionReceived, {"position": (0.0, 0.0, nan)}, "position is not finite"),
+        (events.AttitudeReceived, {"attitude": (0.5, 0.0, 0.0)}, "attitude jumped 0.50 rad, 0.30 possible"),
+        (events.PositionReceived, {"position": (0.0, 0.0, 9.0)}, "altitude jumped 6.00 m, 0.60 possible"),
+    ],
+)
+def test_what_cannot_be_true_is_a_failsafe_within_the_same_call(fake, kind, changes, reason):
+    flight = hovering(fake)
+    flight.change = lambda event: replace(event, **changes) if isinstance(event, kind) else event
+    flight.tick()
+    assert flight.service.state is State.FAILSAFE
+    assert flight.texts[0].startswith(f"failsafe: {reason[:15]}")
+    last = flight.sent(events.Announce)[0]
+    position = flight.log.index(last)
+    assert not any(isinstance(output, AttitudeTarget) for _, output in flight.log[position:])
+    flight.change = lambda event: event
+    assert_silent(flight)
+
+
+def test_tilt_out_of_limits_is_a_failsafe(fake):
+    flight = hovering(fake)
+    rolling = [0.0]
+
+    def roll(event):
+        if not isinstance(event, events.AttitudeReceived):
+            return event
+        rolling[0] += 0.05
+        return replace(event, attitude=(rolling[0], 0.0, 0.0))
+
+    flight.change = roll
+    flight.run(0.5)
+    assert_failsafe(flight, "tilt beyond 1.05 rad")
+
+
+def test_altitude_out_of_limits_is_a_failsafe(fake):
+    settings = fake.settings()
+    flight = hovering(fake, limits=replace(settings.limits, altitude_max_m=3.5))
+    flight.vehicle.weight = 0.5
+    flight.vehicle.velocity = 3.0
+    flight.run(2.0)
+    assert flight.service.state is State.FAILSAFE
+    assert "altitude 3.5 m outside -3.0 .. 3.5" in flight.texts[0]
+
+
+@pytest.mark.parametrize(("action", "mode"), [("hold", ModeKind.HOLD), ("land", ModeKind.LAND)])
+def test_the_configured_action_asks_for_a_mode_and_sends_no_setpoint(fake, action, mode):
+    flight = hovering(fake, failsafe_action=action)
+    flight.mute = {events.PositionReceived}
+    flight.run(0.4)
+    assert [sent.mode for _, sent in flight.sent(SetMode)] == [mode]
+    assert_failsafe(flight, "no position for 0.25 s")
+    assert flight.vehicle.mode is mode
+    assert_silent(flight)
+
+
+def test_a_failsafe_mode_is_asked_for_again_while_unanswered(fake):
+    flight = hovering(fake, failsafe_action="hold")
+    flight.vehicle.grants_mode = flight.vehicle.answers = False
+    flight.mute = {events.AttitudeReceived}
+    flight.run(4.0)
+    times = [time * 1e-6 for time, _ in flight.sent(SetMode)]
+    assert np.diff(times) == pytest.approx([0.5, 0.5, 0.5])
+    assert flight.service.finished is not None
+
+
+def test_a_failsafe_on_the_ground_disarms_what_was_armed_here(fake):
+    flight = fake.Lockstep(fake.settings(failsafe_action="hold")).run_to(State.ENGAGED)
+    flight.mute = {events.AttitudeReceived}
+    flight.run(0.4)
+    assert flight.service.state is State.FAILSAFE
+    assert not flight.vehicle.armed
+    assert not any(sent.mode is ModeKind.HOLD for _, sent in flight.sent(SetMode))
+
+
+def test_a_failsafe_before_control_was_asked_for_asks_for_no_mode(fake):
+    flight = fake.Lockstep(fake.settings(failsafe_action="land"), fake.airborne()).run_to(State.ENGAGING)
+    flight.mute = {events.AttitudeReceived}
+    flight.run(0.28)
+    assert flight.service.state is State.FAILSAFE
+    assert not flight.sent(SetMode)
+
+
+def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeypatch):
+    flight = hovering(fake)
+    honest = controllers.step
+
+    def broken(*arguments):
+        state, output = honest(*arguments)
+        return state, replace(output, command=np.array([0.0, nan, 0.0, 0.4]))
+
+    monkeypatch.setattr(controllers, "step", broken)
+    flight.tick()
+    assert not flight.sent(AttitudeTarget)
+    assert_failsafe(flight, "setpoint is not a finite number")
+
+
+def test_a_takeoff_that_gets_stuck_is_a_failsafe(fake):
+    flight = fake.Lockstep(fake.settings(scenario=(Takeoff(5.0),)), fake.airborne()).run_to(State.ENGAGED)
+    flight.change = lambda event: (
+        replace(event, position=(0.0, 0.0, 3.0)) if isinstance(event, events.PositionReceived) else event
+    )
+    flight.run(20.0, lambda: flight.service.finished is not None)
+    assert flight.service.finished.reason.startswith("failsafe: take-off stuck at 3.0 of 5.0 m")
+
+
+def test_a_fault_while_nothing_is_in_our_hands_starts_the_observers_anew(fake):
+    flight = fake.Lockstep(fake.settings(engage=False), fake.airborne()).run_to(State.READY)
+    flight.give(events.AttitudeReceived(flight.time_us + 1, (nan, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    assert flight.service.state is State.WAITING and flight.service.finished is None
+    assert flight.texts[-1] == "not ready: attitude is not finite"
+    flight.run_to(State.READY, 1.5)
+
+
+def test_an_autopilot_that_restarts_is_observed_anew(fake):
+    flight = fake.Lockstep(fake.settings(engage=False)).run_to(State.READY)
+    earlier = 4_000_000
+    flight.change = lambda event: (
+        replace(event, sample_time_us=event.sample_time_us - earlier)
+        if isinstance(event, (events.AttitudeReceived, events.PositionReceived))
+        else event
+    )
+    flight.run(0.5)
+    flight.run_to(State.READY, 2.0)
+
+
+# ----------------------------------------------------------------------------- deadlines
+
+
+def test_the_last_setpoint_is_repeated_while_telemetry_is_slow(fake):
+    settings = fake.settings()
+    slow = replace(settings.telemetry, timeout_s=1.0)
+    flight = hovering(fake, telemetry=slow)
+    last_us = flight.time_us
+    flight.mute = {events.AttitudeReceived}
+    flight.run(0.9)
+    sent = flight.sent(AttitudeTarget)
+    assert [(time - last_us) * 1e-6 for time, _ in sent] == pytest.approx([0.2, 0.4, 0.6, 0.8])
+    assert len({target for _, target in sent}) == 1
+    flight.run(2.0)
+    assert flight.service.state is State.FAILSAFE
+    assert (flight.sent(AttitudeTarget)[-1][0] - last_us) * 1e-6 < 1.0
+
+
+def test_the_own_heartbeat_goes_out_once_a_second_from_the_first_call_on(fake):
+    flight = fake.Lockstep(fake.settings())
+    flight.run(5.5)
+    beats = [((time - flight.start_us) * 1e-6, beat.state) for time, beat in flight.sent(events.OwnHeartbeat)]
+    assert [time for time, _ in beats] == pytest.approx([0.01, 1.01, 2.01, 3.01, 4.01, 5.01])
+    assert [state for _, state in beats] == ["standby", "standby", "active", "active", "active", "active"]
+
+
+def test_one_late_call_runs_every_deadline_in_order_at_its_own_time(fake):
+    """Called once after 3.2 s or at every deadline: the outputs are the same."""
+    late, punctual = hovering(fake, failsafe_action="hold"), hovering(fake, failsafe_action="hold")
+    end = late.time_us + 3_200_000
+    at_once = late.service.advance(end)
+    one_by_one = []
+    while (due := punctual.service.next_deadline()) <= end:
+        one_by_one += punctual.service.advance(due)
+    assert at_once == one_by_one + punctual.service.advance(end)
+    kinds = [type(output).__name__ for output in at_once]
+    assert kinds.index("AttitudeTarget") < kinds.index("Announce") < kinds.index("SetMode")
+    assert late.service.next_deadline() == punctual.service.next_deadline() > end
+
+
+def test_time_that_goes_back_is_refused(fake):
+    flight = hovering(fake)
+    with pytest.raises(ValueError, match="keep them in order"):
+        flight.service.advance(flight.time_us - 1)
+
+
+def test_a_heartbeat_that_was_lost_and_came_back_is_greeted_with_a_request(fake):
+    flight = fake.Lockstep(fake.settings(engage=False)).run_to(State.READY)
+    flight.mute = {events.HeartbeatReceived}
+    flight.run(4.0)
+    assert flight.service.state is State.WAITING
+    flight.log.clear()
+    flight.mute = set()
+    flight.run(1.1)
+    assert len(flight.sent(events.RequestMessageRates)) == 1
+    flight.run_to(State.READY, 2.0)
