@@ -1,0 +1,55 @@
+# Everything is set up from python3 alone: a virtual environment in .venv with the versions of constraints.txt.
+PYTHON ?= python3
+OUT ?= demo-out
+VENV := .venv
+BIN := $(VENV)/bin
+INPUTS := pyproject.toml constraints.txt
+PIP := PIP_CONSTRAINT=constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --quiet
+
+.PHONY: help install install-dev install-clients demo test lint clean
+
+help:
+	@echo "make install          the commands kffa-offboard and sim-vehicle, in $(BIN)"
+	@echo "make demo             fly: take off, pick up 5 kg, drop it, land; figure and table in $(OUT)"
+	@echo "make test             ruff, mypy, import contracts, pytest"
+	@echo "make lint             the same without pytest"
+	@echo "make install-clients  MAVProxy and MAVSDK too, for the tests that fly the simulator with them (1 GB)"
+	@echo "make clean            remove $(VENV), caches and builds"
+
+install: $(VENV)/.base
+install-dev: $(VENV)/.dev
+install-clients: $(VENV)/.clients
+
+$(BIN)/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "error: $(PYTHON) is `$(PYTHON) --version 2>&1`; Python 3.11 or newer is needed: make PYTHON=python3.12 ..." >&2; exit 2; }
+	$(PYTHON) -m venv $(VENV)
+
+$(VENV)/.base: $(INPUTS) | $(BIN)/python
+	$(PIP) --editable .
+	@touch $@
+
+$(VENV)/.dev: $(INPUTS) | $(BIN)/python
+	$(PIP) --editable '.[dev]'
+	@touch $(VENV)/.base $@
+
+$(VENV)/.clients: $(INPUTS) | $(BIN)/python
+	$(PIP) --editable '.[dev,clients]'
+	@touch $(VENV)/.base $(VENV)/.dev $@
+
+demo: $(VENV)/.base
+	$(BIN)/kffa-offboard demo --out $(OUT)
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+test: lint
+	@$(BIN)/python -c 'import MAVProxy, mavsdk' 2>/dev/null || \
+	  echo "note: the clients extra is not installed: tests with MAVProxy and MAVSDK are skipped (make install-clients)"
+	$(BIN)/python -m pytest --numprocesses auto
+
+clean:
+	rm -rf $(VENV) build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -1,0 +1,205 @@
+"""The command kffa-offboard. Only what a command needs is imported, when it runs."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import typer
+
+from kffa_offboard import __version__
+from kffa_offboard.errors import UserError
+
+if TYPE_CHECKING:
+    from kffa_offboard.config import DaemonConfig
+
+USAGE_ERROR = 2
+
+# Written out, because importing the control law for its names would make --help slow; a test compares them.
+Controller = Literal["pid", "cascaded-pid", "wb-ladrc", "ladrc", "fa-ladrc", "kffa-ladrc"]
+OutputName = Literal["rates", "attitude"]
+PersonalityName = Literal["px4", "ardupilot"]
+
+app = typer.Typer(
+    name="kffa-offboard",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["-h", "--help"]},
+    epilog="Start with `kffa-offboard demo`. A simulated vehicle alone: `sim-vehicle run --config FILE`.",
+)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line; what a person can put right is one line on stderr and status 2."""
+    try:
+        app(args=arguments)
+    except UserError as error:
+        for line in str(error).splitlines():
+            print(f"error: {line}", file=sys.stderr)
+        sys.exit(USAGE_ERROR)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"kffa-offboard {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _common(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    """Offboard attitude and altitude control (KFFA-LADRC) for multirotors that pick up and drop loads.
+
+    Runs beside an unmodified PX4 or ArduPilot: reads telemetry over MAVLink and streams attitude or body-rate
+    setpoints with thrust.
+    """
+
+
+@app.command(
+    epilog=(
+        "Examples:\n\n"
+        "    kffa-offboard run --config px4-udp.toml --shadow    (watch only)\n\n"
+        "    kffa-offboard run --config px4-udp.toml --engage    (a person arms)\n\n"
+        "    kffa-offboard run --config serial.toml --link serial:/dev/ttyS0:57600\n\n"
+        "Exit status: 0 scenario done or released, 1 failsafe or failure, 2 wrong usage or no vehicle, "
+        "130 stopped by Ctrl-C or SIGTERM."
+    )
+)
+def run(
+    config: Annotated[Path, typer.Option(help="Configuration (TOML); those in configs/ are examples.")],
+    link: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="Where the vehicle is, instead of the file's link.url: udpin:HOST:PORT, udpout:HOST:PORT, "
+            "tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD.",
+        ),
+    ] = None,
+    shadow: Annotated[
+        bool, typer.Option("--shadow", help="Observe and log only; never send setpoints, modes or arming.")
+    ] = False,
+    arm: Annotated[
+        bool, typer.Option("--arm", help="Arm when engaging on the ground, and disarm after landing.")
+    ] = False,
+    engage: Annotated[
+        bool,
+        typer.Option("--engage", help="Take control as soon as telemetry is steady, and fly the scenario."),
+    ] = False,
+    lockstep: Annotated[
+        bool,
+        typer.Option(
+            "--lockstep", help="Let a simulator in lock-step keep the time (sim-vehicle --lockstep)."
+        ),
+    ] = False,
+    controller: Annotated[
+        Controller | None, typer.Option(help="Fly this controller instead of the file's.")
+    ] = None,
+    output: Annotated[
+        OutputName | None, typer.Option(help="Command body rates or attitude, instead of the file's choice.")
+    ] = None,
+    log: Annotated[
+        Path | None, typer.Option(help="Write the flight log to this file (.tlog), not to log.directory.")
+    ] = None,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print a summary as one JSON object at the end.")
+    ] = False,
+) -> None:
+    """Fly: take telemetry, run the controller, stream setpoints.
+
+    Without --engage the daemon observes until it is asked to engage; without --arm it waits for a person to
+    arm. The pilot wins at once: any mode change or disarming that it did not ask for ends its sending.
+    Ctrl-C gives control back, closes the log and ends.
+    """
+    from kffa_offboard.cli_run import RunOptions
+    from kffa_offboard.cli_run import run as fly
+    from kffa_offboard.config import Overrides, load
+
+    if shadow and (arm or engage):
+        raise UserError("--shadow only observes; leave out --arm and --engage, or --shadow")
+    overrides = Overrides(link, controller, output, arm=arm, engage=engage, shadow=shadow)
+    status = fly(load(config, overrides), RunOptions(lockstep=lockstep, log=log, json=json))
+    raise typer.Exit(status)
+
+
+@app.command(
+    epilog="Example: `kffa-offboard check my-vehicle.toml`. Exit status: 0 all right, 2 something is wrong."
+)
+def check(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Configurations to check.")],
+) -> None:
+    """Check configurations without opening or flying anything; every problem is a line of its own."""
+    from kffa_offboard.config import ConfigError, load
+
+    problems: list[str] = []
+    for file in files:
+        try:
+            typer.echo(f"{file}: ok: {_summary(load(file))}")
+        except ConfigError as error:
+            problems += str(error).splitlines()
+    if problems:
+        raise UserError("\n".join(problems))
+
+
+def _summary(config: DaemonConfig) -> str:
+    """One line that tells a person what a configuration flies."""
+    service = config.service
+    flown = [type(segment).__name__.lower() for segment in service.scenario] or ["hold until released"]
+    return (
+        f"{service.controller.name}, output {service.output}, link {config.link.url}, "
+        f"scenario {', '.join(flown)}, failsafe {service.failsafe_action}"
+    )
+
+
+@app.command(
+    epilog=(
+        "Examples:\n\n"
+        "    kffa-offboard demo\n\n"
+        "    kffa-offboard demo --personality ardupilot --output attitude\n\n"
+        "    kffa-offboard demo --lockstep --json    (as fast as it will go)\n\n"
+        "Exit status: 0 flown, 1 the flight failed, 2 wrong usage, 130 stopped."
+    )
+)
+def demo(
+    out: Annotated[Path, typer.Option(help="Where flight.png, logs and true states go.")] = Path("demo-out"),
+    json: Annotated[
+        bool, typer.Option("--json", help="Print one JSON object as the last line, no table.")
+    ] = False,
+    personality: Annotated[
+        PersonalityName, typer.Option(help="The autopilot that the simulator plays.")
+    ] = "px4",
+    output: Annotated[OutputName, typer.Option(help="What the controller commands beside thrust.")] = "rates",
+    controller: Annotated[Controller, typer.Option(help="The controller that flies.")] = "kffa-ladrc",
+    seed: Annotated[int, typer.Option(min=0, help="Of the simulator's noise.")] = 0,
+    lockstep: Annotated[
+        bool,
+        typer.Option("--lockstep", help="Simulated time waits for the controller; repeatable, and faster."),
+    ] = False,
+    baseline: Annotated[
+        bool, typer.Option("--baseline/--no-baseline", help="Fly the cascaded PID, too, for comparison.")
+    ] = True,
+) -> None:
+    """Fly a simulated 10 kg quadrotor that picks up 5 kg and drops it; say how far it moved.
+
+    Starts `sim-vehicle` and the daemon as two processes that talk MAVLink 2 over UDP on loopback: take-off to
+    5 m, pick-up 12 s and drop 20 s after lift-off (the daemon is not told), landing. The same flight under a
+    cascade of PIDs like PX4's stands beside it. Writes flight.png.
+    """
+    from kffa_offboard.demo.command import DemoPlan, run_demo
+
+    plan = DemoPlan(
+        directory=out,
+        personality=personality,
+        output=output,
+        controller=controller,
+        seed=seed,
+        lockstep=lockstep,
+        baseline=baseline,
+        json=json,
+    )
+    raise typer.Exit(run_demo(plan))

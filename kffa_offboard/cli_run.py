@@ -1,0 +1,120 @@
+"""Flying: link, service, log and status line joined, until the scenario is done or somebody stops it."""
+
+from __future__ import annotations
+
+import json
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from rich.console import Console
+
+from kffa_offboard.cli_status import StatusDisplay
+from kffa_offboard.config import DaemonConfig
+from kffa_offboard.flightlog.tlog import TlogWriter
+from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.link import open_link
+from kffa_offboard.mavlink.session import Session
+from kffa_offboard.mavlink.shell import RunResult, real_time_clock, run_lock_step, run_real_time
+from kffa_offboard.offboard.service import Finished, Service
+
+INTERRUPTED = 130
+FAILED = 1
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What the command line says about one run, beside the configuration."""
+
+    lockstep: bool = False
+    log: Path | None = None
+    json: bool = False
+
+
+def run(config: DaemonConfig, options: RunOptions) -> int:
+    """Fly `config` and return the exit status: 0 done, 1 failed, 130 stopped.
+
+    Raises UserError for a busy port, a missing device, no vehicle, a log that cannot be written.
+    """
+    console = Console(stderr=True)
+    clock = real_time_clock()
+    link = open_link(config.link.url, clock, allow_remote=config.link.allow_remote)
+    try:
+        log = _log_path(config, options)
+        ids = config.link
+        route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
+        writer = (
+            TlogWriter(log, system_id=route.own_system, component_id=route.own_component) if log else None
+        )
+        with writer or nullcontext(), StatusDisplay(console) as status, _stop_on_signals() as stop:
+            console.print(f"waiting for a vehicle on {link.name}", soft_wrap=True, highlight=False)
+            session = Session(Service(config.service), link, route, recorder=writer, observer=status)
+            drive = run_lock_step if options.lockstep else run_real_time
+            result = drive(session, clock, stop, connect_timeout_s=config.link.connect_timeout_s)
+    except KeyboardInterrupt:  # a second Ctrl-C: at once, but the log is closed
+        return INTERRUPTED
+    finally:
+        link.close()
+    return _report(console, result, log, options)
+
+
+def _log_path(config: DaemonConfig, options: RunOptions) -> Path | None:
+    if options.log is not None or config.log_directory is None:
+        return options.log
+    return config.log_directory / time.strftime("%Y-%m-%d_%H-%M-%S.tlog")
+
+
+@contextmanager
+def _stop_on_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set; a second one of them ends the process as usual."""
+    stop = threading.Event()
+
+    def request_stop(number: int, frame: FrameType | None) -> None:
+        stop.set()
+        signal.signal(number, before[number])
+
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    for number in before:
+        signal.signal(number, request_stop)
+    try:
+        yield stop
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _report(console: Console, result: RunResult, log: Path | None, options: RunOptions) -> int:
+    """Say how the run ended and return the exit status."""
+    finished = result.finished
+    assert finished is None or isinstance(finished, Finished)
+    reason = finished.reason if finished is not None else "stopped before control was given back"
+    successful = finished is not None and finished.successful and result.refusal is None
+    counters = result.counters
+    console.print(
+        f"{counters.telemetry_received} telemetry messages received, {counters.commands_sent} commands sent"
+        + (f"; log: {log}" if log is not None else ""),
+        soft_wrap=True,
+        highlight=False,
+    )
+    if options.json:
+        summary = {
+            "reason": result.refusal or reason,
+            "successful": successful and not result.stopped,
+            "stopped": result.stopped,
+            "telemetry_received": counters.telemetry_received,
+            "commands_sent": counters.commands_sent,
+            "frames_dropped": counters.frames_dropped,
+        }
+        print(json.dumps(summary), flush=True)
+    if not successful:
+        print(f"error: {result.refusal or reason}", file=sys.stderr)
+    if result.stopped:
+        return INTERRUPTED
+    return 0 if successful else FAILED

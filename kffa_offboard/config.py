@@ -1,0 +1,199 @@
+"""Reading a configuration file: from TOML to the frozen records that the daemon flies with.
+
+Every problem of a file is reported, one line each, and nothing is opened or flown before the file is right.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import dataclass, fields
+from math import radians
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+
+from kffa_offboard.config_control import ControlTable, Table
+from kffa_offboard.config_errors import explain
+from kffa_offboard.config_tables import ConfigFile
+from kffa_offboard.control.controllers import ControllerName, ControllerParameters
+from kffa_offboard.control.design import design
+from kffa_offboard.errors import UserError
+from kffa_offboard.mavlink.address import parse_url
+from kffa_offboard.offboard.settings import (
+    FlightSettings,
+    LimitSettings,
+    OutputKind,
+    SequenceSettings,
+    ServiceSettings,
+    TelemetrySettings,
+)
+
+Record = TypeVar("Record", TelemetrySettings, LimitSettings, SequenceSettings, FlightSettings)
+
+
+class ConfigError(UserError):
+    """A configuration that cannot be flown; one line of text for each problem."""
+
+    def __init__(self, file: str, problems: list[str]) -> None:
+        super().__init__("\n".join(f"{file}: {problem}" for problem in problems))
+
+
+@dataclass(frozen=True)
+class Overrides:
+    """What the command line says about a configuration; None leaves the file's word."""
+
+    link: str | None = None
+    controller: ControllerName | None = None
+    output: OutputKind | None = None
+    arm: bool = False
+    engage: bool = False
+    shadow: bool = False
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """Where the vehicle is, and the MAVLink ids of both ends."""
+
+    url: str
+    allow_remote: bool
+    system_id: int
+    component_id: int
+    target_system: int
+    target_component: int
+    connect_timeout_s: float
+
+
+@dataclass(frozen=True)
+class DaemonConfig:
+    """All that `kffa-offboard run` needs.
+
+    Attributes
+    ----------
+    path : the file
+    link : where the vehicle is
+    service : what the service flies with
+    log_directory : where flight logs go; None for no log
+    """
+
+    path: Path
+    link: LinkSettings
+    service: ServiceSettings
+    log_directory: Path | None
+
+
+def bundled(name: str) -> Path:
+    """The configuration `name` that comes with the package, installed or in a checkout.
+
+    Raises UserError if there is none of that name.
+    """
+    package = Path(__file__).resolve().parent
+    for directory in (package / "configs", package.parent / "configs"):
+        if (directory / name).is_file():
+            return directory / name
+    raise UserError(
+        f"{name}: no configuration of that name comes with kffa-offboard; give a file with --config"
+    )
+
+
+def load(path: Path, overrides: Overrides | None = None) -> DaemonConfig:
+    """Read and check the file at `path`.
+
+    Raises
+    ------
+    ConfigError
+        One line for each problem: file, key, value, what is wrong, remedy.
+    UserError
+        For a bad link in `overrides`.
+    """
+    file = str(path)
+    overrides = overrides or Overrides()
+    document = read_toml(path)
+    if "vehicle" in document and "control" not in document:
+        raise ConfigError(file, ["is a configuration of sim-vehicle; give it to `sim-vehicle run --config`"])
+    if overrides.link is not None:
+        parse_url(overrides.link)  # its complaint names the link, not the file
+    for table, key, value in (
+        ("link", "url", overrides.link),
+        ("control", "controller", overrides.controller),
+        ("control", "output", overrides.output),
+    ):
+        if value is not None and isinstance(document.setdefault(table, {}), dict):
+            document[table][key] = value
+    try:
+        tables = ConfigFile.model_validate(document)
+    except ValidationError as error:
+        raise ConfigError(file, explain(error, ConfigFile)) from error
+    try:
+        return DaemonConfig(path, _link(tables), _service(tables, overrides), _log_directory(tables))
+    except ValueError as error:
+        raise ConfigError(file, [str(error)]) from error
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file; ConfigError says what is wrong with it, and on which line."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigError(str(path), ["no such file; check the path"]) from error
+    except IsADirectoryError as error:
+        raise ConfigError(str(path), ["is a directory; name a TOML file in it"]) from error
+    except UnicodeDecodeError as error:
+        raise ConfigError(str(path), [f"is not UTF-8 text (byte {error.start}); save it as UTF-8"]) from error
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(str(path), [f"is not valid TOML: {error}"]) from error
+    except OSError as error:
+        raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from error
+
+
+def controller_parameters(control: ControlTable, limits: LimitSettings) -> ControllerParameters:
+    """The controller that a `[control]` table describes. Raises ValueError if it is none."""
+    return design(control.controller, control.settings(limits))
+
+
+def _service(tables: ConfigFile, overrides: Overrides) -> ServiceSettings:
+    limits = _record(LimitSettings, tables.limits)
+    return ServiceSettings(
+        controller=controller_parameters(tables.control, limits),
+        hover_thrust=tables.control.altitude.hover_thrust,
+        output=tables.control.output,
+        scenario=tuple(segment.segment() for segment in tables.scenario.segment),
+        engage=overrides.engage,
+        arm=overrides.arm,
+        shadow=overrides.shadow,
+        failsafe_action=tables.failsafe.action,
+        telemetry=_record(TelemetrySettings, tables.telemetry),
+        limits=limits,
+        sequence=_record(SequenceSettings, tables.sequence),
+        flight=_record(FlightSettings, tables.flight),
+    )
+
+
+def _record(record: type[Record], table: Table) -> Record:
+    """Fill a settings record from the table with the same keys; `_deg` keys become `_rad` fields."""
+    return record(**{item.name: _value(table, item.name) for item in fields(record)})
+
+
+def _value(table: Table, name: str) -> Any:
+    if name == "body_rate_max_rad_s":
+        return tuple(radians(getattr(table, f"{axis}_rate_max_deg_s")) for axis in ("roll", "pitch", "yaw"))
+    if name in type(table).model_fields:
+        return getattr(table, name)
+    return radians(getattr(table, name.replace("_rad", "_deg")))
+
+
+def _link(tables: ConfigFile) -> LinkSettings:
+    link = tables.link
+    return LinkSettings(
+        link.url,
+        link.allow_remote,
+        link.system_id,
+        link.component_id,
+        link.target_system,
+        link.target_component,
+        tables.telemetry.connect_timeout_s,
+    )
+
+
+def _log_directory(tables: ConfigFile) -> Path | None:
+    return None if tables.log.directory is None else Path(tables.log.directory).expanduser()

@@ -1,0 +1,313 @@
+"""The tables of a configuration beside `[control]`, as pydantic reads them.
+
+Most keys are the fields of the frozen records in `offboard/settings.py`, whose docstrings say what they
+mean, and take their defaults from there. Degrees are accepted here only, in keys that end in `_deg`, `_deg_s`
+or `_deg_s2`.
+"""
+
+from __future__ import annotations
+
+from math import degrees, radians
+from typing import Annotated, Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from kffa_offboard.config_control import ControlTable, Table
+from kffa_offboard.config_units import number
+from kffa_offboard.errors import UserError
+from kffa_offboard.mavlink.address import parse_url
+from kffa_offboard.offboard import segments
+from kffa_offboard.offboard.settings import (
+    FailsafeAction,
+    FlightSettings,
+    LimitSettings,
+    SequenceSettings,
+    TelemetrySettings,
+)
+
+_TELEMETRY = TelemetrySettings()
+_LIMITS = LimitSettings()
+_SEQUENCE = SequenceSettings()
+_FLIGHT = FlightSettings()
+
+Rate = Annotated[float, number("Hz", above=0.0, at_most=1000.0)]
+Timeout = Annotated[float, number("s", above=0.0, at_most=30.0)]
+LongTimeout = Annotated[float, number("s", above=0.0, at_most=600.0)]
+Interval = Annotated[float, number("s", at_least=0.01, at_most=10.0)]
+Length = Annotated[float, number("m", above=0.0, at_most=1000.0)]
+Altitude = Annotated[float, number("m", at_least=-1000.0, at_most=10000.0)]
+Speed = Annotated[float, number("m/s", above=0.0, at_most=50.0)]
+Thrust = Annotated[float, number("of full thrust", at_least=0.0, at_most=1.0)]
+Fraction = Annotated[float, number(above=0.0, at_most=1.0)]
+Angle = Annotated[float, number("deg", at_least=3.0, at_most=180.0)]
+AngularRate = Annotated[float, number("deg/s", at_least=10.0, at_most=2000.0)]
+SystemId = Annotated[int, Field(ge=1, le=255)]
+ComponentId = Annotated[int, Field(ge=1, le=255)]
+
+
+class LinkTable(Table):
+    """`[link]`: where the vehicle is, and who we are on the MAVLink network."""
+
+    url: str = Field(
+        description='where the vehicle is: "udpin:127.0.0.1:14540", "serial:/dev/ttyUSB0:921600", ...'
+    )
+    allow_remote: bool = False
+    system_id: SystemId = 245
+    component_id: ComponentId = 191
+    target_system: SystemId = 1
+    target_component: ComponentId = 1
+
+    @field_validator("url")
+    @classmethod
+    def _can_be_read(cls, url: str) -> str:
+        try:
+            parse_url(url)
+        except UserError as error:
+            raise ValueError(str(error).partition(": ")[2]) from error
+        return url
+
+
+class TelemetryTable(Table):
+    """`[telemetry]`: `offboard.settings.TelemetrySettings`, and how long to wait for a vehicle."""
+
+    connect_timeout_s: LongTimeout = 10.0
+    attitude_hz: Rate = _TELEMETRY.attitude_hz
+    position_hz: Rate = _TELEMETRY.position_hz
+    target_hz: Rate = _TELEMETRY.target_hz
+    status_hz: Rate = _TELEMETRY.status_hz
+    minimum_attitude_hz: Rate = _TELEMETRY.minimum_attitude_hz
+    minimum_position_hz: Rate = _TELEMETRY.minimum_position_hz
+    rate_fraction: Fraction = _TELEMETRY.rate_fraction
+    timeout_s: Timeout = _TELEMETRY.timeout_s
+    position_timeout_s: Timeout = _TELEMETRY.position_timeout_s
+    heartbeat_timeout_s: Timeout = _TELEMETRY.heartbeat_timeout_s
+    settle_time_s: Timeout = _TELEMETRY.settle_time_s
+    request_interval_s: Timeout = _TELEMETRY.request_interval_s
+    request_limit: Annotated[int, Field(ge=1, le=1000)] = _TELEMETRY.request_limit
+    report_timeout_s: Timeout = _TELEMETRY.report_timeout_s
+    repeated_samples_max: Annotated[int, Field(ge=1, le=10000)] = _TELEMETRY.repeated_samples_max
+
+
+class LimitsTable(Table):
+    """`[limits]`: `offboard.settings.LimitSettings`, angles in degrees."""
+
+    tilt_max_deg: Angle = degrees(_LIMITS.tilt_max_rad)
+    roll_rate_max_deg_s: AngularRate = degrees(_LIMITS.body_rate_max_rad_s[0])
+    pitch_rate_max_deg_s: AngularRate = degrees(_LIMITS.body_rate_max_rad_s[1])
+    yaw_rate_max_deg_s: AngularRate = degrees(_LIMITS.body_rate_max_rad_s[2])
+    body_rate_change_max_deg_s2: Annotated[float, number("deg/s^2", at_least=100.0, at_most=1e6)] = degrees(
+        _LIMITS.body_rate_change_max_rad_s2
+    )
+    thrust_min: Thrust = _LIMITS.thrust_min
+    thrust_max: Thrust = _LIMITS.thrust_max
+    thrust_rate_max_per_s: Annotated[float, number("1/s", above=0.0, at_most=1000.0)] = (
+        _LIMITS.thrust_rate_max_per_s
+    )
+    tilt_failsafe_deg: Angle = degrees(_LIMITS.tilt_failsafe_rad)
+    altitude_min_m: Altitude = _LIMITS.altitude_min_m
+    altitude_max_m: Altitude = _LIMITS.altitude_max_m
+    attitude_jump_deg: Angle = degrees(_LIMITS.attitude_jump_rad)
+    attitude_rate_max_deg_s: AngularRate = degrees(_LIMITS.attitude_rate_max_rad_s)
+    altitude_jump_m: Length = _LIMITS.altitude_jump_m
+    climb_rate_max_m_s: Speed = _LIMITS.climb_rate_max_m_s
+    tilt_compensation_max_deg: Angle = degrees(_LIMITS.tilt_compensation_max_rad)
+
+
+class SequenceTable(Table):
+    """`[sequence]`: `offboard.settings.SequenceSettings`."""
+
+    stream_time_s: Interval = _SEQUENCE.stream_time_s
+    mode_retry_s: Interval = _SEQUENCE.mode_retry_s
+    mode_timeout_s: Timeout = _SEQUENCE.mode_timeout_s
+    arm_retry_s: Interval = _SEQUENCE.arm_retry_s
+    arm_timeout_s: LongTimeout = _SEQUENCE.arm_timeout_s
+    person_arm_timeout_s: LongTimeout = _SEQUENCE.person_arm_timeout_s
+    hold_retry_s: Interval = _SEQUENCE.hold_retry_s
+    hold_timeout_s: Timeout = _SEQUENCE.hold_timeout_s
+    disarm_retry_s: Interval = _SEQUENCE.disarm_retry_s
+    disarm_timeout_s: LongTimeout = _SEQUENCE.disarm_timeout_s
+    confirm_grace_s: Interval = _SEQUENCE.confirm_grace_s
+    gripper_timeout_s: Timeout = _SEQUENCE.gripper_timeout_s
+    resend_s: Annotated[float, number("s", at_least=0.01, at_most=0.5)] = _SEQUENCE.resend_s
+    own_heartbeat_s: Interval = _SEQUENCE.own_heartbeat_s
+    blend_time_s: Interval = _SEQUENCE.blend_time_s
+
+
+class FlightTable(Table):
+    """`[flight]`: `offboard.settings.FlightSettings`."""
+
+    px4_spool_time_s: Annotated[float, number("s", at_least=0.0, at_most=30.0)] = _FLIGHT.px4_spool_time_s
+    ardupilot_spool_time_s: Annotated[float, number("s", at_least=0.0, at_most=30.0)] = (
+        _FLIGHT.ardupilot_spool_time_s
+    )
+    ramp_rate_per_s: Annotated[float, number("1/s", above=0.0, at_most=10.0)] = _FLIGHT.ramp_rate_per_s
+    liftoff_climb_rate_m_s: Speed = _FLIGHT.liftoff_climb_rate_m_s
+    liftoff_height_m: Length = _FLIGHT.liftoff_height_m
+    liftoff_thrust_fraction: Fraction = _FLIGHT.liftoff_thrust_fraction
+    liftoff_timeout_s: Timeout = _FLIGHT.liftoff_timeout_s
+    acceleration_m_s2: Annotated[float, number("m/s^2", above=0.0, at_most=50.0)] = _FLIGHT.acceleration_m_s2
+    arrival_tolerance_m: Length = _FLIGHT.arrival_tolerance_m
+    arrival_time_s: Timeout = _FLIGHT.arrival_time_s
+    arrival_timeout_s: LongTimeout = _FLIGHT.arrival_timeout_s
+    slow_height_m: Length = _FLIGHT.slow_height_m
+    slow_descent_rate_m_s: Speed = _FLIGHT.slow_descent_rate_m_s
+    landing_lead_m: Length = _FLIGHT.landing_lead_m
+    touchdown_thrust_fraction: Fraction = _FLIGHT.touchdown_thrust_fraction
+    touchdown_climb_rate_m_s: Speed = _FLIGHT.touchdown_climb_rate_m_s
+    touchdown_time_s: Timeout = _FLIGHT.touchdown_time_s
+    touchdown_ramp_s: Interval = _FLIGHT.touchdown_ramp_s
+
+
+class FailsafeTable(Table):
+    """`[failsafe]`: what happens when the daemon gives up control.
+
+    "stop" sends no more, so that the autopilot's own loss-of-offboard action runs; "hold" and "land"
+    ask for that mode first.
+    """
+
+    action: FailsafeAction = "stop"
+
+
+class LogTable(Table):
+    """`[log]`: where flight logs go; left out, none is kept."""
+
+    directory: str | None = None
+
+
+# ----------------------------------------------------------------------------- scenario
+
+
+class TakeoffTable(Table):
+    """Climb to `altitude_m`."""
+
+    type: Literal["takeoff"]
+    altitude_m: Length = Field(description="the altitude to climb to")
+    climb_rate_m_s: Speed = 1.0
+
+    def segment(self) -> segments.Segment:
+        """The segment that the service flies."""
+        return segments.Takeoff(self.altitude_m, self.climb_rate_m_s)
+
+
+class HoldTable(Table):
+    """Stay, level, for `duration_s`."""
+
+    type: Literal["hold"]
+    duration_s: Annotated[float, number("s", above=0.0)] = Field(description="how long to hold")
+
+    def segment(self) -> segments.Segment:
+        """The segment that the service flies."""
+        return segments.Hold(self.duration_s)
+
+
+class WaveTable(Table):
+    """What steps, triangles and sines share: a channel and an amplitude in its unit."""
+
+    channel: segments.Channel = Field(description='the channel: "roll", "pitch", "yaw" or "altitude"')
+    amplitude_m: Annotated[float | None, number("m", at_least=-100.0, at_most=100.0)] = None
+    amplitude_deg: Annotated[float | None, number("deg", at_least=-180.0, at_most=180.0)] = None
+
+    @model_validator(mode="after")
+    def _amplitude_fits(self) -> WaveTable:
+        wanted, other = (
+            ("amplitude_m", "amplitude_deg")
+            if self.channel == "altitude"
+            else ("amplitude_deg", "amplitude_m")
+        )
+        if getattr(self, wanted) is None or getattr(self, other) is not None:
+            raise ValueError(f'channel = "{self.channel}" needs {wanted}, and not {other}')
+        return self
+
+    @property
+    def amplitude(self) -> float:
+        """Amplitude in rad or m."""
+        if self.amplitude_m is not None:
+            return self.amplitude_m
+        assert self.amplitude_deg is not None
+        return radians(self.amplitude_deg)
+
+
+class StepTable(WaveTable):
+    """Step a channel for `duration_s`."""
+
+    type: Literal["step"]
+    duration_s: Annotated[float, number("s", above=0.0)] = Field(description="how long the step lasts")
+
+    def segment(self) -> segments.Segment:
+        """The segment that the service flies."""
+        return segments.Step(self.channel, self.amplitude, self.duration_s)
+
+
+class PeriodicTable(WaveTable):
+    """What triangles and sines share."""
+
+    period_s: Annotated[float, number("s", above=0.0)] = Field(description="the period")
+    cycles: Annotated[float, number(above=0.0, at_most=1000.0)] = 1.0
+
+
+class TriangleTable(PeriodicTable):
+    """Triangular wave on a channel."""
+
+    type: Literal["triangle"]
+
+    def segment(self) -> segments.Segment:
+        """The segment that the service flies."""
+        return segments.Triangle(self.channel, self.amplitude, self.period_s, self.cycles)
+
+
+class SineTable(PeriodicTable):
+    """Sine wave on a channel."""
+
+    type: Literal["sine"]
+
+    def segment(self) -> segments.Segment:
+        """The segment that the service flies."""
+        return segments.Sine(self.channel, self.amplitude, self.period_s, self.cycles)
+
+
+class GripperTable(Table):
+    """Work the gripper."""
+
+    type: Literal["gripper"]
+    action: Literal["grab", "release"] = Field(description='"grab" or "release"')
+
+    def segment(self) -> segments.Segment:
+        """The segment that the service flies."""
+        return segments.Gripper(self.action)
+
+
+class LandTable(Table):
+    """Descend to the ground."""
+
+    type: Literal["land"]
+    descent_rate_m_s: Speed = 0.7
+
+    def segment(self) -> segments.Segment:
+        """The segment that the service flies."""
+        return segments.Land(self.descent_rate_m_s)
+
+
+SegmentTable = Annotated[
+    TakeoffTable | HoldTable | StepTable | TriangleTable | SineTable | GripperTable | LandTable,
+    Field(discriminator="type"),
+]
+
+
+class ScenarioTable(Table):
+    """`[scenario]`: what is flown after engaging; without segments, hold until released."""
+
+    segment: list[SegmentTable] = Field(default_factory=list)
+
+
+class ConfigFile(Table):
+    """A whole configuration file."""
+
+    link: LinkTable = Field(description="the table [link] with at least url")
+    telemetry: TelemetryTable = TelemetryTable()
+    control: ControlTable = Field(description="the table [control] with [control.altitude] hover_thrust")
+    limits: LimitsTable = LimitsTable()
+    sequence: SequenceTable = SequenceTable()
+    flight: FlightTable = FlightTable()
+    failsafe: FailsafeTable = FailsafeTable()
+    scenario: ScenarioTable = ScenarioTable()
+    log: LogTable = LogTable()

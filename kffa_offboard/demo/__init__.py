@@ -1,0 +1,1 @@
+"""The demonstration: fly the simulated vehicle with the daemon, measure how far it moved, draw it."""

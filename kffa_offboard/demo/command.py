@@ -1,0 +1,180 @@
+"""``kffa-offboard demo``: fly, measure, draw, tell."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import platform
+import signal
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from importlib.metadata import version
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from kffa_offboard import __version__
+from kffa_offboard.config import bundled, load
+from kffa_offboard.demo.metrics import FlightFailed, FlightMetrics, Truth, measure, read_truth
+from kffa_offboard.demo.processes import FlightPlan, FlightSummary, fly
+from kffa_offboard.demo.recording import Recording, read_recording
+from kffa_offboard.demo.table import results_table
+from kffa_offboard.errors import UserError
+from kffa_offboard.offboard.segments import Takeoff
+
+BASELINE = "cascaded-pid"
+EXPECTED_FLIGHT_S = 46.0
+FAILED = 1
+INTERRUPTED = 130
+
+
+@dataclass(frozen=True)
+class DemoPlan:
+    """What the command line asks for; see `kffa-offboard demo --help`."""
+
+    directory: Path
+    personality: str = "px4"
+    output: str = "rates"
+    controller: str = "kffa-ladrc"
+    seed: int = 0
+    lockstep: bool = False
+    baseline: bool = True
+    json: bool = False
+
+    def flight(self, controller: str, lockstep: bool) -> FlightPlan:
+        """The plan of one of the flights."""
+        return FlightPlan(self.directory, self.personality, self.output, controller, self.seed, lockstep)
+
+
+@dataclass(frozen=True)
+class DemoFlight:
+    """One flight, flown and measured."""
+
+    plan: FlightPlan
+    summary: FlightSummary
+    truth: Truth
+    metrics: FlightMetrics
+    recording: Recording
+
+
+def run_demo(plan: DemoPlan) -> int:
+    """Fly the demonstration and return the exit status: 0, 1 flight failed, 130 stopped."""
+    console = Console(stderr=True)
+    try:
+        plan.directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--out {plan.directory}: {error.strerror}; choose another directory") from error
+    try:
+        with _terminate_as_interrupt():
+            flights = _fly_all(plan, console)
+            figures = _draw(plan, flights)
+    except FlightFailed as error:
+        print(f"error: {error}; see {plan.directory}", file=sys.stderr)
+        return FAILED
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        return INTERRUPTED
+    if plan.json:
+        print(json.dumps(_as_json(plan, flights)), flush=True)
+    else:
+        console = Console()
+        console.print(results_table(plan.personality, plan.output, plan.seed, flights))
+        console.print(f"Drawn: {', '.join(map(str, figures))}", soft_wrap=True, highlight=False)
+    return 0
+
+
+@contextlib.contextmanager
+def _terminate_as_interrupt() -> Iterator[None]:
+    """SIGTERM ends the demonstration as Ctrl-C does, with everything that it started."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def target_height(personality: str) -> float:
+    """The height that the demonstration's scenario takes off to, m."""
+    scenario = load(bundled(f"demo-{personality}.toml")).service.scenario
+    return next(segment.altitude_m for segment in scenario if isinstance(segment, Takeoff))
+
+
+def _fly_all(plan: DemoPlan, console: Console) -> list[DemoFlight]:
+    """The flight that was asked for and, in lock-step because nobody watches, the baseline."""
+    flights = [plan.flight(plan.controller, plan.lockstep)]
+    if plan.baseline and plan.controller != BASELINE:
+        flights.append(plan.flight(BASELINE, lockstep=True))
+    bar = Progress(
+        TextColumn("{task.fields[controller]:12}"),
+        BarColumn(),
+        TextColumn("{task.completed:4.0f} s flown"),
+        TimeElapsedColumn(),
+        TextColumn("{task.fields[latest]}"),
+        console=console,
+        disable=not console.is_terminal,
+    )
+    with bar:
+        return [_fly_one(flight, bar) for flight in flights]
+
+
+def _fly_one(plan: FlightPlan, bar: Progress) -> DemoFlight:
+    if bar.disable:
+        how = "in lock-step" if plan.lockstep else f"in real time, about {EXPECTED_FLIGHT_S:.0f} s"
+        bar.console.print(f"flying {plan.controller} {how} ...")
+    task = bar.add_task("", total=EXPECTED_FLIGHT_S, controller=plan.controller, latest="starting")
+
+    def show(flown: float, latest: str) -> None:
+        bar.update(task, completed=min(flown, EXPECTED_FLIGHT_S), latest=latest)
+
+    summary = fly(plan, show)
+    bar.update(task, completed=EXPECTED_FLIGHT_S, latest="landed")
+    truth = read_truth(plan.truth)
+    metrics = measure(truth, target_height(plan.personality))
+    return DemoFlight(plan, summary, truth, metrics, read_recording(plan.log))
+
+
+def _draw(plan: DemoPlan, flights: list[DemoFlight]) -> list[Path]:
+    from kffa_offboard.demo.figure import draw_drop, draw_flight  # matplotlib is slow to import
+
+    target_m = target_height(plan.personality)
+    figures = [plan.directory / "flight.png", plan.directory / "drop.png"]
+    draw_flight(figures[0], flights, target_m)
+    draw_drop(figures[1], flights, target_m)
+    return figures
+
+
+def _as_json(plan: DemoPlan, flights: list[DemoFlight]) -> dict[str, Any]:
+    first, *others = flights
+    return {
+        **_flight_json(first),
+        "personality": plan.personality,
+        "output": plan.output,
+        "seed": plan.seed,
+        "lockstep": plan.lockstep,
+        "baseline": _flight_json(others[0]) if others else None,
+        "versions": {
+            "kffa-offboard": __version__,
+            "python": platform.python_version(),
+            **{name: version(name) for name in ("numpy", "filterpy", "pymavlink")},
+        },
+    }
+
+
+def _flight_json(flight: DemoFlight) -> dict[str, Any]:
+    metrics = flight.metrics
+    return {
+        "controller": flight.plan.controller,
+        "pickup": asdict(metrics.pickup),
+        "drop": asdict(metrics.drop),
+        "hover": {"rms_m": metrics.hover_rms_m},
+        "attitude": {"rms_rad": metrics.attitude_rms_rad},
+        **asdict(flight.summary),
+    }

@@ -1,0 +1,54 @@
+"""The demonstration's result as a table for people."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from rich.table import Table
+
+from kffa_offboard.demo.metrics import FlightMetrics
+from kffa_offboard.demo.processes import FlightPlan, FlightSummary
+
+
+class MeasuredFlight(Protocol):
+    """What a row needs to know."""
+
+    @property
+    def plan(self) -> FlightPlan:
+        """What was flown."""
+
+    @property
+    def metrics(self) -> FlightMetrics:
+        """How well."""
+
+    @property
+    def summary(self) -> FlightSummary:
+        """With how many messages."""
+
+
+def results_table(personality: str, output: str, seed: int, flights: Sequence[MeasuredFlight]) -> Table:
+    """One column for each flight."""
+    table = Table(
+        title=f"10 kg pick up and drop 5 kg at 5 m: {personality}, {output}, seed {seed}",
+        caption="True states of the simulator; pick-up and drop: distance from 5 m in the 5 s after it.",
+    )
+    table.add_column("")
+    for flight in flights:
+        table.add_column(flight.plan.controller, justify="right")
+    for name, show in _ROWS:
+        table.add_row(name, *(show(flight.metrics) for flight in flights))
+    table.add_section()
+    table.add_row("telemetry received", *(str(flight.summary.telemetry_received) for flight in flights))
+    table.add_row("commands sent", *(str(flight.summary.commands_sent) for flight in flights))
+    return table
+
+
+_ROWS: tuple[tuple[str, Callable[[FlightMetrics], str]], ...] = (
+    ("pick-up peak, m", lambda metrics: f"{metrics.pickup.peak_m:.3f}"),
+    ("pick-up IAE, m s", lambda metrics: f"{metrics.pickup.iae_m_s:.3f}"),
+    ("drop peak, m", lambda metrics: f"{metrics.drop.peak_m:.3f}"),
+    ("drop IAE, m s", lambda metrics: f"{metrics.drop.iae_m_s:.3f}"),
+    ("hover rms, m", lambda metrics: f"{metrics.hover_rms_m:.4f}"),
+    ("attitude rms, rad", lambda metrics: f"{metrics.attitude_rms_rad:.4f}"),
+)

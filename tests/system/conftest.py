@@ -1,0 +1,144 @@
+"""Daemon and vehicle joined in one process: real MAVLink bytes and the daemon's own loop, without sockets.
+
+The lock-step barrier is what the simulator's UDP loop does, too: telemetry of one slot, then a TIMESYNC
+request, then everything that the daemon sent up to its answer.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kffa_offboard.config import DaemonConfig, Overrides, bundled, load
+from kffa_offboard.demo.metrics import Truth
+from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.session import Session
+from kffa_offboard.mavlink.shell import RunResult, run_lock_step
+from kffa_offboard.mavlink.transport import Datagram
+from kffa_offboard.offboard.events import Signals
+from kffa_offboard.offboard.service import Service
+from sim_vehicle import config as sim_config
+from sim_vehicle.vehicle import SimulatedVehicle
+
+SLOT_US = 10_000
+LONGEST_FLIGHT_S = 90.0
+DAEMON = "daemon"
+
+
+class LockStepLink:
+    """The daemon's link, with the vehicle right behind it."""
+
+    name = "in-process"
+    keeps_frames_whole = True
+    trouble = ""
+
+    def __init__(self, vehicle: SimulatedVehicle, before_slot: Callable[[], None]) -> None:
+        self.vehicle = vehicle
+        self.sent: list[bytes] = []
+        self._before_slot = before_slot
+        vehicle.add_peer(DAEMON)
+
+    def receive(self, timeout_s: float) -> list[Datagram]:
+        """One slot of simulated time, and the barrier after it."""
+        if self.vehicle.time_us > LONGEST_FLIGHT_S * 1e6:
+            raise AssertionError(f"still flying after {LONGEST_FLIGHT_S:g} s")
+        self._before_slot()
+        self.vehicle.advance(self.vehicle.time_us + SLOT_US)
+        frames = [data for _, data in self.vehicle.outgoing()]
+        frames.append(self.vehicle.time_request(DAEMON))
+        return [Datagram(self.vehicle.time_us, frame, "vehicle") for frame in frames]
+
+    def send(self, data: bytes) -> bool:
+        """Frames reach the vehicle's end of the link at once; its own delay follows."""
+        self.sent.append(data)
+        self.vehicle.receive(data, DAEMON)
+        return True
+
+    def lock(self, source: Hashable) -> None:
+        """There is only one source."""
+
+    def close(self) -> None:
+        """Nothing to close."""
+
+
+@dataclass
+class LockStepFlight:
+    """One flight: daemon, vehicle and what happened.
+
+    Change `daemon` or `vehicle` before `fly`; `before_slot` runs every 10 ms of simulated time.
+    """
+
+    daemon: DaemonConfig
+    vehicle: SimulatedVehicle
+    before_slot: Callable[[], None] = lambda: None
+    heard: list[tuple[int, Any]] = field(default_factory=list)
+    stop: threading.Event = field(default_factory=threading.Event)
+    session: Session = field(init=False)
+    link: LockStepLink = field(init=False)
+
+    def fly(self, enough: Callable[[SimulatedVehicle], bool] | None = None) -> RunResult:
+        """Fly until the service has finished; it is asked to stop when `enough` says so."""
+
+        def before_slot() -> None:
+            self.before_slot()
+            if enough is not None and enough(self.vehicle):
+                self.stop.set()
+
+        ids = self.daemon.link
+        route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
+        self.link = LockStepLink(self.vehicle, before_slot)
+        service = Service(self.daemon.service)
+        self.session = Session(
+            service, self.link, route, observer=lambda time_us, item: self.heard.append((time_us, item))
+        )
+        return run_lock_step(self.session, lambda: self.vehicle.time_us, self.stop)
+
+    @property
+    def signals(self) -> list[Signals]:
+        """The controller's inner signals, one for each step."""
+        return [item for _, item in self.heard if isinstance(item, Signals)]
+
+    @property
+    def truth(self) -> Truth:
+        """True states, as the demonstration measures them."""
+        rows = self.vehicle.truth.rows
+        states = np.array([row.state for row in rows])
+        return Truth(
+            time_s=np.array([row.time_s for row in rows]),
+            z=states[:, 2],
+            roll=states[:, 6],
+            pitch=states[:, 7],
+            yaw=states[:, 8],
+            thrust_n=np.array([row.thrust_n for row in rows]),
+            load_mass_kg=np.array([row.load_mass_kg for row in rows]),
+            events=tuple((event.time_s, event.text) for event in self.vehicle.truth.events),
+        )
+
+
+FlightMaker = Callable[..., LockStepFlight]
+
+
+@pytest.fixture
+def lock_step_flight() -> FlightMaker:
+    """Makes flights of the demonstration's two configurations, with changes."""
+
+    def make(
+        personality: str = "px4",
+        *,
+        seed: int = 0,
+        output: str | None = None,
+        controller: str | None = None,
+        daemon_file: Path | None = None,
+    ) -> LockStepFlight:
+        overrides = Overrides(controller=controller, output=output, arm=True, engage=True)  # type: ignore[arg-type]
+        daemon = load(daemon_file or bundled(f"demo-{personality}.toml"), overrides)
+        simulated = sim_config.load(bundled(f"demo-{personality}-vehicle.toml"), {"vehicle": {"seed": seed}})
+        return LockStepFlight(daemon, SimulatedVehicle(simulated))
+
+    return make

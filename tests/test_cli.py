@@ -1,0 +1,95 @@
+"""The command line: help worth reading, one line for each mistake, the right exit status."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+from kffa_offboard import __version__, cli
+from kffa_offboard.config import bundled
+from kffa_offboard.control.controllers import NAMES
+
+
+def status_of(*arguments: str) -> int:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(list(arguments))
+    return int(ended.value.code or 0)
+
+
+def test_the_version_is_the_package_s(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("--version") == 0
+    assert capsys.readouterr().out == f"kffa-offboard {__version__}\n"
+
+
+@pytest.mark.parametrize("command", ["run", "check", "demo"])
+def test_help_has_examples_and_exit_statuses(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of(command, "--help") == 0
+    text = capsys.readouterr().out
+    assert "Example" in text
+    assert f"kffa-offboard {command}" in text
+    assert "Exit status" in text
+
+
+def test_every_controller_can_be_named_on_the_command_line() -> None:
+    assert get_args(cli.Controller) == NAMES
+
+
+def test_right_files_are_summed_up_in_a_line_each(capsys: pytest.CaptureFixture[str]) -> None:
+    files = [str(bundled("demo-px4.toml")), str(bundled("px4-udp.toml"))]
+    assert status_of("check", *files) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith(f"{files[0]}: ok: kffa-ladrc, output rates, ")
+    assert "scenario takeoff, hold, land" in lines[0]
+    assert "scenario hold until released" in lines[1]
+
+
+def test_all_mistakes_of_all_files_are_lines_on_stderr(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bad = tmp_path / "bad.toml"
+    bad.write_text(
+        '[link]\nurl = "udpin:127.0.0.1:14540"\n[control.altitude]\nhover_thrust = 40\nomega_c = nan'
+    )
+    assert status_of("check", str(bad), str(tmp_path / "none.toml"), str(bundled("serial.toml"))) == 2
+    captured = capsys.readouterr()
+    assert set(captured.err.splitlines()) == {
+        f"error: {bad}: control.altitude.hover_thrust = 40: is above 0.9 of full thrust; were these percent?",
+        f"error: {bad}: control.altitude.omega_c = nan: must be a finite number (radians per second)",
+        f"error: {tmp_path / 'none.toml'}: no such file; check the path",
+    }
+    assert captured.out.startswith(str(bundled("serial.toml")))
+
+
+@pytest.mark.parametrize("flag", ["--arm", "--engage"])
+def test_shadow_and_control_contradict_each_other(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("run", "--config", str(bundled("px4-udp.toml")), "--shadow", flag) == 2
+    assert capsys.readouterr().err.startswith("error: --shadow only observes; ")
+
+
+def test_a_bad_link_on_the_command_line_is_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("run", "--config", str(bundled("px4-udp.toml")), "--link", "udp:1") == 2
+    assert capsys.readouterr().err.startswith("error: link 'udp:1': unknown kind 'udp'; write udpin:")
+
+
+def test_listening_to_the_network_needs_permission(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("run", "--config", str(bundled("px4-udp.toml")), "--link", "udpin:0.0.0.0:0") == 2
+    assert "set link.allow_remote = true" in capsys.readouterr().err
+
+
+def test_a_log_that_exists_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "flight.tlog"
+    log.write_bytes(b"precious")
+    arguments = ["--config", str(bundled("px4-udp.toml")), "--link", "udpin:127.0.0.1:0", "--log", str(log)]
+    assert status_of("run", *arguments) == 2
+    assert "exists already" in capsys.readouterr().err
+    assert log.read_bytes() == b"precious"
+
+
+def test_a_directory_that_cannot_be_made_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert status_of("demo", "--out", str(tmp_path / "file" / "out")) == 2
+    assert capsys.readouterr().err.startswith(f"error: --out {tmp_path / 'file' / 'out'}: ")

@@ -1,0 +1,349 @@
+"""Configuration files: what is right becomes settings, what is wrong becomes one line with the remedy."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kffa_offboard.config import ConfigError, DaemonConfig, Overrides, bundled, load
+from kffa_offboard.config_control import ControlTable
+from kffa_offboard.config_tables import FlightTable, LimitsTable, SequenceTable, TelemetryTable
+from kffa_offboard.control.controllers import ALTITUDE, NAMES, PITCH, ROLL, YAW
+from kffa_offboard.errors import UserError
+from kffa_offboard.offboard import segments
+from kffa_offboard.offboard.settings import (
+    FlightSettings,
+    LimitSettings,
+    SequenceSettings,
+    TelemetrySettings,
+)
+
+MINIMAL = """
+[link]
+url = "udpin:127.0.0.1:14540"
+[control.altitude]
+hover_thrust = 0.4
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "vehicle.toml"
+
+
+def loaded(file: Path, text: str, overrides: Overrides | None = None) -> DaemonConfig:
+    file.write_text(text)
+    return load(file, overrides)
+
+
+def complaints(file: Path, text: str) -> list[str]:
+    """Problems of a file, without the file's name in front."""
+    with pytest.raises(ConfigError) as caught:
+        loaded(file, text)
+    lines = str(caught.value).splitlines()
+    assert all(line.startswith(f"{file}: ") for line in lines)
+    return [line.removeprefix(f"{file}: ") for line in lines]
+
+
+def complaint(file: Path, text: str) -> str:
+    lines = complaints(file, text)
+    assert len(lines) == 1, lines
+    return lines[0]
+
+
+# ------------------------------------------------------------------------------- what is right
+
+
+CONFIGS = ("demo-px4", "demo-ardupilot", "px4-udp", "ardupilot-udp", "serial")
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_every_bundled_configuration_can_be_flown_as_it_is(name: str) -> None:
+    load(bundled(f"{name}.toml"))
+
+
+@pytest.mark.parametrize("output", ["rates", "attitude"])
+@pytest.mark.parametrize("controller", NAMES)
+def test_every_controller_can_be_chosen_with_either_output(file: Path, controller: str, output: str) -> None:
+    config = loaded(file, f'{MINIMAL}[control]\ncontroller = "{controller}"\noutput = "{output}"')
+    assert config.service.controller.name == controller
+    assert config.service.output == output
+
+
+def test_a_key_that_is_left_out_has_the_default_of_the_settings(file: Path) -> None:
+    service = loaded(file, MINIMAL).service
+    assert service.telemetry == TelemetrySettings()
+    assert service.sequence == SequenceSettings()
+    assert service.flight == FlightSettings()
+    for item in fields(LimitSettings):
+        assert getattr(service.limits, item.name) == pytest.approx(getattr(LimitSettings(), item.name))
+
+
+@pytest.mark.parametrize(
+    ("record", "table", "beside"),
+    [
+        (TelemetrySettings, TelemetryTable, {"connect_timeout_s"}),
+        (SequenceSettings, SequenceTable, set()),
+        (FlightSettings, FlightTable, set()),
+        (LimitSettings, LimitsTable, {f"{axis}_rate_max_deg_s" for axis in ("roll", "pitch", "yaw")}),
+    ],
+)
+def test_every_setting_can_be_set(record: type, table: type[ControlTable], beside: set[str]) -> None:
+    wanted = {item.name.replace("_rad", "_deg") for item in fields(record)} - {"body_rate_max_deg_s"}
+    assert set(table.model_fields) == wanted | beside
+
+
+def test_degrees_at_the_edge_are_radians_inside(file: Path) -> None:
+    limits = loaded(
+        file, f"{MINIMAL}[limits]\ntilt_max_deg = 20\nyaw_rate_max_deg_s = 90\ntilt_failsafe_deg = 45"
+    ).service.limits
+    assert limits.tilt_max_rad == pytest.approx(math.radians(20))
+    assert limits.body_rate_max_rad_s[2] == pytest.approx(math.pi / 2)
+    assert limits.tilt_failsafe_rad == pytest.approx(math.pi / 4)
+
+
+def test_altitude_acceleration_per_thrust_is_gravity_over_hover_thrust(file: Path) -> None:
+    controller = loaded(file, MINIMAL).service.controller
+    assert controller.model.b0[ALTITUDE] == pytest.approx(9.80665 / 0.4)
+    assert controller.model.damping[ALTITUDE] == 0.0
+
+
+def test_a_body_rate_loop_with_a_lag_has_known_gain_and_damping(file: Path) -> None:
+    text = f"{MINIMAL}[control.rates.pitch]\nrate_time_constant_s = 0.05\ndelay_s = 0.03"
+    controller = loaded(file, text).service.controller
+    assert controller.model.b0[PITCH] == controller.model.damping[PITCH] == pytest.approx(20.0)
+    assert controller.model.stiffness[PITCH] == 0.0
+    assert controller.actuator.delay[PITCH] == 0.03
+    assert controller.prediction is not None
+    assert controller.prediction[PITCH] == 0.03
+    assert controller.limits.upper[YAW] == pytest.approx(LimitSettings().body_rate_max_rad_s[2])
+
+
+def test_an_attitude_loop_is_a_second_order_plant_and_its_command_an_angle(file: Path) -> None:
+    text = (
+        f'{MINIMAL}[control]\noutput = "attitude"\n'
+        "[control.attitude.roll]\nnatural_frequency_rad_s = 10\ndamping_ratio = 0.7"
+    )
+    controller = loaded(file, text).service.controller
+    assert controller.model.b0[ROLL] == controller.model.stiffness[ROLL] == pytest.approx(100.0)
+    assert controller.model.damping[ROLL] == pytest.approx(14.0)
+    assert controller.limits.upper[ROLL] == pytest.approx(math.radians(30))
+    assert np.isinf(controller.limits.upper[YAW])
+
+
+def test_a_scenario_becomes_segments_in_radians_and_metres(file: Path) -> None:
+    text = f"""{MINIMAL}
+    [scenario]
+    segment = [
+      {{ type = "takeoff", altitude_m = 5 }},
+      {{ type = "step", channel = "roll", amplitude_deg = 10, duration_s = 2 }},
+      {{ type = "sine", channel = "altitude", amplitude_m = -0.5, period_s = 4, cycles = 2 }},
+      {{ type = "triangle", channel = "yaw", amplitude_deg = 90, period_s = 8 }},
+      {{ type = "gripper", action = "release" }},
+      {{ type = "hold", duration_s = 3 }},
+      {{ type = "land" }},
+    ]
+    """
+    assert loaded(file, text).service.scenario == (
+        segments.Takeoff(5.0),
+        segments.Step("roll", math.radians(10), 2.0),
+        segments.Sine("altitude", -0.5, 4.0, 2.0),
+        segments.Triangle("yaw", math.radians(90), 8.0),
+        segments.Gripper("release"),
+        segments.Hold(3.0),
+        segments.Land(),
+    )
+
+
+def test_the_command_line_wins_over_the_file(file: Path) -> None:
+    overrides = Overrides(
+        "tcp:127.0.0.1:5760", controller="cascaded-pid", output="attitude", arm=True, engage=True
+    )
+    config = loaded(file, MINIMAL, overrides)
+    assert config.link.url == "tcp:127.0.0.1:5760"
+    assert config.service.controller.name == "cascaded-pid"
+    assert config.service.output == "attitude"
+    assert config.service.arm
+    assert config.service.engage
+    assert not config.service.shadow
+
+
+def test_nothing_arms_or_engages_unless_the_command_line_says_so(file: Path) -> None:
+    service = loaded(file, MINIMAL).service
+    assert not service.arm
+    assert not service.engage
+    assert "unknown key" in complaint(file, f"{MINIMAL}[control]\narm = true")
+
+
+# ------------------------------------------------------------------------------- what is wrong
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        (
+            "[control.rates.roll]\ndelay_ms = 20",
+            "control.rates.roll.delay_ms = 20: unknown key; did you mean delay_s (seconds)?",
+        ),
+        (
+            "[control.rates.roll]\ndelay_s = 20",
+            "control.rates.roll.delay_s = 20: is above 0.5 s; were these milliseconds?",
+        ),
+        (
+            '[control.rates.roll]\ndelay_s = "20 ms"',
+            'control.rates.roll.delay_s = "20 ms": must be a number (seconds), without quotes; write 0.02',
+        ),
+        (
+            "[control.rates.yaw]\nomega_c = -3",
+            "control.rates.yaw.omega_c = -3: must be greater than 0 rad/s",
+        ),
+        (
+            "[control.rates.yaw]\nomega_c = nan",
+            "control.rates.yaw.omega_c = nan: must be a finite number (radians per second)",
+        ),
+        (
+            "[control.rates.yaw]\nomega_o = -inf",
+            "control.rates.yaw.omega_o = -inf: must be a finite number (radians per second)",
+        ),
+        (
+            "[control.rates.yaw]\nomega_c = true",
+            "control.rates.yaw.omega_c = true: must be a number (radians per second)",
+        ),
+        ("[limits]\ntilt_max_deg = 0.5", "limits.tilt_max_deg = 0.5: is below 3 deg; were these radians?"),
+        (
+            "[limits]\nthrust_max = 95",
+            "limits.thrust_max = 95: is above 1 of full thrust; were these percent?",
+        ),
+        (
+            "[control]\nhover_thrust = 0.4",
+            "control.hover_thrust = 0.4: unknown key; did you mean control.altitude.hover_thrust?",
+        ),
+        ("[limit]\ntilt_max_deg = 30", "limit: unknown table; did you mean limits?"),
+        ('[control]\noutput = "rate"', 'control.output = "rate": must be one of "rates", "attitude"'),
+        ("[telemetry]\nrequest_limit = 2.5", "telemetry.request_limit = 2.5: must be a whole number"),
+        ("[log]\ndirectory = 3", "log.directory = 3: must be text in quotes"),
+        ("[failsafe]\naction = 1", 'failsafe.action = 1: must be one of "stop", "hold", "land"'),
+        (
+            "[limits]\naltitude_min_m = 3\naltitude_max_m = 2",
+            "limits.altitude_min_m = 3.0: must be below altitude_max_m = 2.0",
+        ),
+        (
+            "[control.rates.roll]\nomega_c = 4\nomega_c_range = 5",
+            "control.rates.roll: omega_c_range = 5 rad/s lets the fuzzy rules take omega_c to zero; "
+            "keep it below omega_c = 4 rad/s",
+        ),
+        (
+            "[control.rates.roll]\nomega_c = 9\nomega_o = 9",
+            "control.rates.roll: omega_o = 9 rad/s: the observer must be quicker than the controller; "
+            "set it above omega_c = 9 rad/s, usually 3 to 5 times",
+        ),
+        ("telemetry = 5", None),
+    ],
+)
+def test_a_bad_value_is_one_line_with_key_value_and_remedy(
+    file: Path, lines: str, expected: str | None
+) -> None:
+    if expected is None:
+        assert complaint(file, lines + MINIMAL) == "telemetry = 5: must be a table, with keys of its own"
+    else:
+        assert complaint(file, MINIMAL + lines) == expected
+
+
+@pytest.mark.parametrize(
+    ("segment", "expected"),
+    [
+        ('type = "takof"', 'scenario.segment 1: type = "takof": must be one of "takeoff", "hold", '),
+        ("altitude_m = 3", 'scenario.segment 1: type is missing; write type = one of "takeoff", '),
+        (
+            'type = "takeoff"',
+            "scenario.segment 1 (takeoff).altitude_m: missing; give the altitude to climb to",
+        ),
+        (
+            'type = "hold"\nduration = 3\nduration_s = 3',
+            "scenario.segment 1 (hold).duration = 3: unknown key; did you mean duration_s (seconds)?",
+        ),
+        (
+            'type = "step"\nchannel = "roll"\namplitude_m = 1\nduration_s = 1',
+            'scenario.segment 1 (step): channel = "roll" needs amplitude_deg, and not amplitude_m',
+        ),
+        (
+            'type = "takeoff"\naltitude_m = 80',
+            "take-off altitude 80.0 m is not below limits.altitude_max_m = 50.0 m; "
+            "lower the one or raise the other",
+        ),
+    ],
+)
+def test_a_bad_segment_is_named_by_its_place_and_kind(file: Path, segment: str, expected: str) -> None:
+    assert complaint(file, f"{MINIMAL}[[scenario.segment]]\n{segment}").startswith(expected)
+
+
+def test_a_landing_that_is_not_the_end_is_refused(file: Path) -> None:
+    text = (
+        f'{MINIMAL}[[scenario.segment]]\ntype = "land"\n[[scenario.segment]]\ntype = "hold"\nduration_s = 1'
+    )
+    assert complaint(file, text) == "scenario segment 1 (land): must be the last one; remove what follows"
+
+
+def test_all_problems_of_a_file_are_reported(file: Path) -> None:
+    text = MINIMAL + "[limits]\ntilt_max_deg = nan\nthrust_max = 2\n[telemetry]\nattitude_hz = 0"
+    assert len(complaints(file, text)) == 3
+
+
+def test_what_must_be_given_is_asked_for(file: Path) -> None:
+    assert complaints(file, "") == [
+        "link: missing; give the table [link] with at least url",
+        "control: missing; give the table [control] with [control.altitude] hover_thrust",
+    ]
+    text = '[link]\nurl = "udpin:127.0.0.1:14540"\n[control.altitude]'
+    assert complaint(file, text).startswith(
+        "control.altitude.hover_thrust: missing; give the thrust, 0 to 1, "
+    )
+
+
+@pytest.mark.parametrize("url", ["udp:127.0.0.1:14540", "udpin:127.0.0.1", "serial:/dev/ttyUSB0:fast"])
+def test_a_bad_link_is_refused_wherever_it_stands(file: Path, url: str) -> None:
+    assert complaint(file, MINIMAL.replace("udpin:127.0.0.1:14540", url)).startswith(f'link.url = "{url}": ')
+    with pytest.raises(UserError, match=f"^link '{url}': "):
+        loaded(file, MINIMAL, Overrides(link=url))
+
+
+def test_a_syntax_error_is_reported_with_its_line(file: Path) -> None:
+    assert (
+        complaint(file, "[link]\nurl = udpin\n") == "is not valid TOML: Invalid value (at line 2, column 7)"
+    )
+
+
+def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError) as missing:
+        load(tmp_path / "none.toml")
+    assert str(missing.value) == f"{tmp_path / 'none.toml'}: no such file; check the path"
+    with pytest.raises(ConfigError, match="is a directory"):
+        load(tmp_path)
+    binary = tmp_path / "binary.toml"
+    binary.write_bytes(b"a = '\xff'")
+    with pytest.raises(ConfigError, match="is not UTF-8 text"):
+        load(binary)
+
+
+def test_a_configuration_of_the_simulator_is_recognised() -> None:
+    with pytest.raises(ConfigError, match="is a configuration of sim-vehicle"):
+        load(bundled("sim-px4.toml"))
+
+
+def test_measured_rates_are_fused_unless_told_otherwise(file: Path) -> None:
+    fused = loaded(file, f"{MINIMAL}climb_rate_noise_m_s = 0.03").service.controller.kalman
+    assert fused is not None
+    assert fused.rate_variance is not None
+    assert fused.rate_variance[ALTITUDE] == pytest.approx(0.03**2)
+    plain = loaded(file, f"{MINIMAL}[control]\nfuse_rates = false").service.controller.kalman
+    assert plain is not None
+    assert plain.rate_variance is None
+
+
+def test_an_unknown_bundled_name_is_refused() -> None:
+    with pytest.raises(UserError, match=r"^none\.toml: no configuration of that name"):
+        bundled("none.toml")
