@@ -48,6 +48,7 @@ class MavlinkServer:
         self.peers: dict[Hashable | None, Peer] = {None: Peer(None, system_id, self.defaults, 0)}
         self._later: list[tuple[int, int, Callable[[], None]]] = []
         self._count = 0
+        self._text_count = 0
         self.commands = Commands(self, loop_rate_hz)
         self._handlers: dict[str, Handler] = {
             "COMMAND_LONG": self.commands.handle_long,
@@ -69,6 +70,7 @@ class MavlinkServer:
             "TIMESYNC": self._timesync,
             "PING": self._ping,
             "FILE_TRANSFER_PROTOCOL": self._ftp,
+            "LOG_REQUEST_LIST": self._log_list,
         }
 
     # ------------------------------------------------------------------------------ in and out
@@ -139,9 +141,10 @@ class MavlinkServer:
 
     def _send_texts(self) -> None:
         for severity, text in self.firmware.texts:
-            message = mavlink.MAVLink_statustext_message(int(severity), text.encode()[:50])
-            for peer in self.peers.values():
-                peer.send(message)
+            self._text_count = self._text_count % 65535 + 1
+            for message in telemetry.status_texts(int(severity), text, self._text_count):
+                for peer in self.peers.values():
+                    peer.send(message)
         self.firmware.texts.clear()
 
     # ------------------------------------------------------------------------------- setpoints
@@ -297,3 +300,7 @@ class MavlinkServer:
                 0, message.get_srcSystem(), message.get_srcComponent(), answer
             )
         )
+
+    def _log_list(self, peer: Peer, message: Message) -> None:
+        """There are no logs on board: say so, so that clients need not wait."""
+        peer.send(mavlink.MAVLink_log_entry_message(0, 0, 0, 0, 0))

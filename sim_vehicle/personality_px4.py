@@ -322,12 +322,17 @@ class Px4Firmware(Firmware):
         return RateDemand(rates, thrust)
 
     def _start_takeoff(self, estimate: Estimate) -> None:
+        """Climb, once the motors are up; never down (navigator/takeoff.cpp)."""
+        base = self.home[2] if self.home else estimate.position[2]
+        height = base + self._takeoff_height
+        if height < estimate.position[2]:
+            self._announce(Severity.CRITICAL, "Already higher than takeoff altitude")
+            self._finish_takeoff()
+            return
         if self.land.landed and self.since(self.armed_at_us) < self.parameters["COM_SPOOLUP_TIME"]:
             return
         self._climbing = True
         self.guidance.engage(estimate, self._mean_thrust)
-        base = self.home[2] if self.home else estimate.position[2]
-        height = max(estimate.position[2], base + self._takeoff_height)
         self.guidance.climb_to(height, self.parameters["MPC_TKO_SPEED"])
 
     def _takeoff_done(self, estimate: Estimate) -> bool:

@@ -26,6 +26,7 @@ EARTH_RADIUS = 6_378_137.0
 CELLS_VOLTAGE = (3850,) * 6
 CELL_UNKNOWN = 65535
 INT16_MAX = 32767
+STATUSTEXT_BYTES = 50
 
 Message: TypeAlias = Any  # pymavlink has no types
 
@@ -178,6 +179,7 @@ def _sys_status(s: Sample) -> Message:
         health &= ~(mavlink.MAV_SYS_STATUS_SENSOR_GPS | mavlink.MAV_SYS_STATUS_PREARM_CHECK)
     if not s.firmware.attitude_ready:
         health &= ~mavlink.MAV_SYS_STATUS_AHRS
+    health |= mavlink.MAV_SYS_STATUS_GEOFENCE  # there is none, so none is breached; ArduPilot says the same
     return mavlink.MAVLink_sys_status_message(
         present, present, health, 250, sum(CELLS_VOLTAGE), -1, 90, 0, 0, 0, 0, 0, 0
     )
@@ -293,6 +295,21 @@ def _version(s: Sample) -> Message:
 
 def _mission_current(s: Sample) -> Message:
     return mavlink.MAVLink_mission_current_message(0)
+
+
+def status_texts(severity: int, text: str, number: int) -> list[Message]:
+    """STATUSTEXT: one message, or numbered pieces with `number` (1 to 65535) in common if it is long.
+
+    The last piece is shorter than the others, empty if need be: that is how receivers know it.
+    """
+    data = text.encode()
+    if len(data) <= STATUSTEXT_BYTES:
+        return [mavlink.MAVLink_statustext_message(severity, data)]
+    pieces = [data[at : at + STATUSTEXT_BYTES] for at in range(0, len(data) + 1, STATUSTEXT_BYTES)]
+    return [
+        mavlink.MAVLink_statustext_message(severity, piece, number, index)
+        for index, piece in enumerate(pieces)
+    ]
 
 
 Builder: TypeAlias = Callable[[Sample], Message | None]

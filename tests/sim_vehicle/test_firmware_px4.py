@@ -199,6 +199,19 @@ def test_takes_off_to_mis_takeoff_alt_holds_lands_and_disarms_itself(px4):
     assert abs(px4.vehicle.state.position[0]) < 0.3
 
 
+def test_a_take_off_to_a_height_below_the_vehicle_ends_in_hold_on_the_ground(make_pilot):
+    """Heights are above the sea: a client that asks for 2 m and means above home is told."""
+    pilot = make_pilot("px4", parameters={"COM_DISARM_PRFLT": 3.0})
+    pilot.arm()
+    assert pilot.ask(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, math.nan, math.nan, math.nan, 2.0) == ACCEPTED
+    pilot.run(2.0)
+    assert "Already higher than takeoff altitude" in pilot.texts()
+    assert (pilot.mode, pilot.height) == ("HOLD", 0.0)
+    assert float(pilot.vehicle.state.total_thrust) == 0.0
+    pilot.run(1.5)
+    assert not pilot.vehicle.firmware.armed
+
+
 def test_landed_state_goes_through_takeoff_air_landing_ground(px4):
     px4.take_off()
     px4.ask(mavlink.MAV_CMD_NAV_LAND)

@@ -1,0 +1,52 @@
+"""What MAVSDK and MAVProxy stumbled over: answers that they wait for, texts that they show."""
+
+from __future__ import annotations
+
+from itertools import groupby
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from sim_vehicle.firmware import Severity
+
+
+@pytest.fixture(params=("px4", "ardupilot"))
+def pilot(request, make_pilot):
+    return make_pilot(request.param)
+
+
+def texts_received(pilot) -> list[str]:
+    """Texts as a ground station puts them together: pieces with one id, in order, up to a short one."""
+    pieces = sorted((m.id, m.chunk_seq, m.text) for m in pilot.messages("STATUSTEXT"))
+    return ["".join(text for _, _, text in group) for _, group in groupby(pieces, lambda piece: piece[0])]
+
+
+@pytest.mark.parametrize(("length", "lengths"), [(51, [50, 1]), (100, [50, 50, 0]), (120, [50, 50, 20])])
+def test_a_long_text_comes_whole_in_pieces_that_end_with_a_short_one(pilot, length, lengths):
+    first, second = "a" * length, "b" * length
+    pilot.vehicle.firmware.texts += [(Severity.INFO, first), (Severity.INFO, second)]
+    pilot.run(0.1)
+    assert texts_received(pilot) == [first, second]
+    assert [len(message.text) for message in pilot.messages("STATUSTEXT")] == lengths * 2
+    assert 0 not in [message.id for message in pilot.messages("STATUSTEXT")]
+
+
+def test_a_short_text_is_one_message_without_number(pilot):
+    pilot.vehicle.firmware.texts.append((Severity.INFO, "c" * 50))
+    pilot.run(0.1)
+    (message,) = pilot.messages("STATUSTEXT")
+    assert (message.text, message.id, message.chunk_seq) == ("c" * 50, 0, 0)
+
+
+def test_a_request_for_the_logs_is_answered_with_none(pilot):
+    pilot.send(mavlink.MAVLink_log_request_list_message(1, 1, 0, 65535))
+    pilot.run(0.1)
+    (answer,) = pilot.messages("LOG_ENTRY")
+    assert (answer.num_logs, answer.size) == (0, 0)
+
+
+def test_a_fence_that_is_not_there_is_not_breached(pilot):
+    pilot.run(1.1)
+    status = pilot.messages("SYS_STATUS")[-1]
+    assert not status.onboard_control_sensors_present & mavlink.MAV_SYS_STATUS_GEOFENCE
+    assert status.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_GEOFENCE
