@@ -49,7 +49,7 @@ lint: $(VENV)/.dev
 test: lint
 	@$(BIN)/python -c 'import MAVProxy, mavsdk' 2>/dev/null || \
 	  echo "note: the clients extra is not installed: tests with MAVProxy and MAVSDK are skipped (make install-clients)"
-	$(BIN)/python -m pytest --numprocesses auto
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 clean:
 	rm -rf $(VENV) build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

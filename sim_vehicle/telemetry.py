@@ -285,7 +285,7 @@ def _version(s: Sample) -> Message:
         | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
         | encoding
     )
-    version = (1, 16, 0, 0) if px4 else (4, 7, 0, 0)  # last byte 0: development version
+    version = (1, 16, 0, 0) if px4 else (4, 6, 0, 0)  # last byte 0: development version
     number = version[0] << 24 | version[1] << 16 | version[2] << 8 | version[3]
     custom = [0] * 8
     return mavlink.MAVLink_autopilot_version_message(
