@@ -66,7 +66,7 @@ def _common(
         "Examples:\n\n"
         "    kffa-offboard run --config px4-udp.toml --shadow    (watch only)\n\n"
         "    kffa-offboard run --config px4-udp.toml --engage    (a person arms)\n\n"
-        "    kffa-offboard run --config serial.toml --link serial:/dev/ttyS0:57600\n\n"
+        "    kffa-offboard run --config serial.toml --link serial:/dev/ttyS0:921600\n\n"
         "Exit status: 0 scenario done or released, 1 failsafe or failure, 2 wrong usage or no vehicle, "
         "130 stopped by Ctrl-C or SIGTERM."
     )
