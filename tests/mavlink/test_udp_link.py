@@ -111,5 +111,9 @@ def test_an_address_of_another_machine_is_explained(clock):
 
 def test_closing_twice_is_harmless(clock):
     link = open_link("udpin:127.0.0.1:0", clock)
+    port = int(link.name.rpartition(":")[2])
     link.close()
     link.close()
+    again = open_link(f"udpin:127.0.0.1:{port}", clock)  # and the port is free again
+    assert again.name == link.name
+    again.close()

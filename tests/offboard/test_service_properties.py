@@ -154,6 +154,7 @@ def machine(fake):
 
 
 def test_no_command_leaves_that_must_not(fake):
+    """The assertions are in the machine: after every step it looks at all that was sent."""
     run_state_machine_as_test(
         machine(fake),
         settings=settings(

@@ -329,7 +329,9 @@ def test_an_autopilot_that_restarts_is_observed_anew(fake):
         else event
     )
     flight.run(0.5)
+    assert flight.service.state is State.WAITING
     flight.run_to(State.READY, 2.0)
+    assert flight.service.state is State.READY
 
 
 # ----------------------------------------------------------------------------- deadlines

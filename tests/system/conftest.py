@@ -6,8 +6,11 @@ request, then everything that the daemon sent up to its answer.
 
 from __future__ import annotations
 
+import contextlib
+import subprocess
+import sys
 import threading
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -142,3 +145,36 @@ def lock_step_flight() -> FlightMaker:
         return LockStepFlight(daemon, SimulatedVehicle(simulated))
 
     return make
+
+
+@contextlib.contextmanager
+def waiting_vehicle(personality: str, transport: str, truth: Path) -> Iterator[str]:
+    """A simulated vehicle in a process of its own that waits for callers on "udp" or "tcp"; ends cleanly.
+
+    Yields HOST:PORT. The vehicle chooses the port and says it.
+    """
+    command = [
+        sys.executable,
+        "-m",
+        "sim_vehicle",
+        "run",
+        "--config",
+        str(bundled(f"sim-{personality}.toml")),
+    ]
+    command += ["--link", f"{transport}in:127.0.0.1:0", "--truth", str(truth)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as vehicle:
+        try:
+            assert vehicle.stdout is not None
+            announced = vehicle.stdout.readline()  # "... in real time: tcpin:127.0.0.1:PORT"
+            assert "in real time" in announced
+            yield f"127.0.0.1:{announced.strip().rpartition(':')[2]}"
+            vehicle.terminate()
+            assert vehicle.wait(30.0) == 143
+        finally:
+            vehicle.kill()
+
+
+@pytest.fixture
+def vehicle_process() -> Callable[[str, str, Path], contextlib.AbstractContextManager[str]]:
+    """`waiting_vehicle`, for the tests with real clients."""
+    return waiting_vehicle

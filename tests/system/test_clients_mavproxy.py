@@ -18,6 +18,7 @@ import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -32,24 +33,6 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 MAVPROXY = Path(sysconfig.get_path("scripts")) / "mavproxy.py"
 HEIGHT = 2.0
 PATIENCE_S = 30.0
-
-
-@contextlib.contextmanager
-def vehicle_on_tcp(personality: str, truth: Path) -> Iterator[str]:
-    """A simulated vehicle that waits for callers; yields MAVProxy's address of it and ends it cleanly."""
-    file = CONFIGS / f"sim-{personality}.toml"
-    command = [sys.executable, "-m", "sim_vehicle", "run", "--config", str(file)]
-    command += ["--link", "tcpin:127.0.0.1:0", "--truth", str(truth)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as vehicle:
-        try:
-            assert vehicle.stdout is not None
-            announced = vehicle.stdout.readline()  # "... in real time: tcpin:127.0.0.1:PORT"
-            assert "in real time" in announced
-            yield f"tcp:127.0.0.1:{announced.strip().rpartition(':')[2]}"
-            vehicle.terminate()
-            assert vehicle.wait(PATIENCE_S) == 143
-        finally:
-            vehicle.kill()
 
 
 class MavProxy:
@@ -183,10 +166,12 @@ def fly_ardupilot(proxy: MavProxy) -> None:
 
 
 @pytest.mark.parametrize("personality", ["px4", "ardupilot"])
-def test_mavproxy_reads_everything_and_flies_the_vehicle(personality: str, tmp_path: Path) -> None:
+def test_mavproxy_reads_everything_and_flies_the_vehicle(
+    vehicle_process: Any, personality: str, tmp_path: Path
+) -> None:
     truth = tmp_path / "truth.csv"
     store = load(CONFIGS / f"sim-{personality}.toml").make_parameters()
-    with vehicle_on_tcp(personality, truth) as address, mavproxy(address, tmp_path) as proxy:
+    with vehicle_process(personality, "tcp", truth) as at, mavproxy(f"tcp:{at}", tmp_path) as proxy:
         proxy.wait_for("online system 1")
         check_parameters(proxy, store)
         proxy.ask("log list", "No logs")

@@ -8,9 +8,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import csv
-import subprocess
-import sys
-from collections.abc import AsyncGenerator, Callable, Iterator
+from collections.abc import AsyncGenerator, Callable
 from pathlib import Path
 from typing import Any
 
@@ -38,24 +36,6 @@ PATIENCE_S = 30.0
 AUTOPILOTS = {"px4": Autopilot.PX4, "ardupilot": Autopilot.ARDUPILOT}
 WHOLE = {"px4": ("COM_OBL_RC_ACT", 4), "ardupilot": ("LAND_SPEED", 100)}
 FRACTION = {"px4": ("MPC_LAND_SPEED", 1.0), "ardupilot": ("GUID_TIMEOUT", 0.75)}
-
-
-@contextlib.contextmanager
-def vehicle_on_udp(personality: str, truth: Path) -> Iterator[str]:
-    """A simulated vehicle that waits for callers; yields MAVSDK's address of it and ends it cleanly."""
-    file = CONFIGS / f"sim-{personality}.toml"
-    command = [sys.executable, "-m", "sim_vehicle", "run", "--config", str(file)]
-    command += ["--link", "udpin:127.0.0.1:0", "--truth", str(truth)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as vehicle:
-        try:
-            assert vehicle.stdout is not None
-            announced = vehicle.stdout.readline()  # "... in real time: udpin:127.0.0.1:PORT"
-            assert "in real time" in announced
-            yield f"udpout://127.0.0.1:{announced.strip().rpartition(':')[2]}"
-            vehicle.terminate()
-            assert vehicle.wait(PATIENCE_S) == 143
-        finally:
-            vehicle.kill()
 
 
 async def until(
@@ -169,11 +149,13 @@ async def session(address: str, settings: SimConfig) -> None:
 
 
 @pytest.mark.parametrize("personality", ["px4", "ardupilot"])
-def test_mavsdk_reads_everything_and_flies_the_vehicle(personality: str, tmp_path: Path) -> None:
+def test_mavsdk_reads_everything_and_flies_the_vehicle(
+    vehicle_process: Any, personality: str, tmp_path: Path
+) -> None:
     truth = tmp_path / "truth.csv"
     settings = load(CONFIGS / f"sim-{personality}.toml")
-    with vehicle_on_udp(personality, truth) as address:
-        asyncio.run(session(address, settings))
+    with vehicle_process(personality, "udp", truth) as at:
+        asyncio.run(session(f"udpout://{at}", settings))
     with truth.open() as file:
         rows = list(csv.DictReader(file))
     assert HEIGHT - 0.3 < max(float(row["z"]) for row in rows) < HEIGHT + 2.0
