@@ -6,12 +6,13 @@ BIN := $(VENV)/bin
 INPUTS := pyproject.toml constraints.txt
 PIP := PIP_CONSTRAINT=constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --quiet
 
-.PHONY: help install install-dev install-clients demo test lint clean
+.PHONY: help install install-dev install-clients demo test test-grid lint clean
 
 help:
 	@echo "make install          the commands kffa-offboard and sim-vehicle, in $(BIN)"
 	@echo "make demo             fly: take off, pick up 5 kg, drop it, land; figure and table in $(OUT)"
 	@echo "make test             ruff, mypy, import contracts, pytest"
+	@echo "make test-grid        every seed with both autopilots and both outputs: some minutes"
 	@echo "make lint             the same without pytest"
 	@echo "make install-clients  MAVProxy and MAVSDK too, for the tests that fly the simulator with them (1 GB)"
 	@echo "make clean            remove $(VENV), caches and builds"
@@ -50,6 +51,9 @@ test: lint
 	@$(BIN)/python -c 'import MAVProxy, mavsdk' 2>/dev/null || \
 	  echo "note: the clients extra is not installed: tests with MAVProxy and MAVSDK are skipped (make install-clients)"
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
+
+test-grid: $(VENV)/.dev
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m grid --timeout 300
 
 clean:
 	rm -rf $(VENV) build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

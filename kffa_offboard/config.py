@@ -166,6 +166,7 @@ def _service(tables: ConfigFile, overrides: Overrides) -> ServiceSettings:
         limits=limits,
         sequence=_record(SequenceSettings, tables.sequence),
         flight=_record(FlightSettings, tables.flight),
+        position=tables.position.settings(tables.control),
     )
 
 

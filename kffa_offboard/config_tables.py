@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from kffa_offboard.config_control import ControlTable, Table
+from kffa_offboard.config_position import PositionTable
 from kffa_offboard.config_units import number
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.address import parse_url
@@ -265,6 +266,22 @@ class SineTable(PeriodicTable):
         return segments.Sine(self.channel, self.amplitude, self.period_s, self.cycles)
 
 
+class MoveTable(Table):
+    """Go north and east of the present set point; needs `[position]`."""
+
+    type: Literal["move"]
+    north_m: Annotated[float, number("m", at_least=-10000.0, at_most=10000.0)] = 0.0
+    east_m: Annotated[float, number("m", at_least=-10000.0, at_most=10000.0)] = 0.0
+    duration_s: Annotated[float, number("s", above=0.0)] = Field(
+        description="how long the move lasts, with the rest after it"
+    )
+    speed_m_s: Speed = 2.0
+
+    def segment(self) -> segments.Segment:
+        """The segment that the service flies."""
+        return segments.Move(self.north_m, self.east_m, self.duration_s, self.speed_m_s)
+
+
 class GripperTable(Table):
     """Work the gripper."""
 
@@ -288,7 +305,7 @@ class LandTable(Table):
 
 
 SegmentTable = Annotated[
-    TakeoffTable | HoldTable | StepTable | TriangleTable | SineTable | GripperTable | LandTable,
+    TakeoffTable | HoldTable | StepTable | TriangleTable | SineTable | MoveTable | GripperTable | LandTable,
     Field(discriminator="type"),
 ]
 
@@ -308,6 +325,7 @@ class ConfigFile(Table):
     limits: LimitsTable = LimitsTable()
     sequence: SequenceTable = SequenceTable()
     flight: FlightTable = FlightTable()
+    position: PositionTable = PositionTable()
     failsafe: FailsafeTable = FailsafeTable()
     scenario: ScenarioTable = ScenarioTable()
     log: LogTable = LogTable()

@@ -21,6 +21,7 @@ import numpy as np
 from sim_vehicle import dynamics, payload
 from sim_vehicle.environment import CALM, EnvironmentInputs, Ground, Touching, touch_ground
 from sim_vehicle.frames import Array, Row, array_of, at_least, at_most, rows_of, wrap_angle
+from sim_vehicle.proximity import Proximity, thrust_ratio, touch_ceiling
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,6 +43,7 @@ class AirframeParameters:
     load_offset, load_size : (3,) m; see `payload.mass_properties`
     profile : "airframe" or "paper"
     ground : None for no ground, as in the paper's own simulations
+    proximity : None for no ground effect and no ceiling
     """
 
     base_mass: float = 10.0
@@ -56,6 +58,7 @@ class AirframeParameters:
     load_size: payload.Vector3 = (0.0, 0.0, 0.0)
     profile: payload.Profile = "airframe"
     ground: Ground | None = field(default_factory=Ground)
+    proximity: Proximity | None = None
 
     def __post_init__(self) -> None:
         positive = {
@@ -103,7 +106,7 @@ class AirframeState:
     Attributes
     ----------
     rigid : (12[, N]); position, velocity, Euler angles, body rates (see `dynamics`)
-    motor_thrust : (4[, N]) N; motors 1 front, 2 left, 3 rear, 4 right
+    motor_thrust : (4[, N]) N; motors 1 front, 2 left, 3 rear, 4 right; without what a near surface adds
     load_mass : float or (N,) kg; replace it (`with_load`) to pick up or drop
     ground_force : float or (N,) N; mean normal force of the ground in the last step
     on_ground : bool or (N,); the gear touches the ground
@@ -283,6 +286,9 @@ def step(
     `payload.LOAD_LIMIT`.
     """
     end, mean = _motors(parameters, state.motor_thrust, commands, dt)
+    if parameters.proximity is not None:
+        ratio = thrust_ratio(parameters.proximity, rows_of(state.rigid)[2])
+        mean = [ratio * thrust for thrust in mean]
     properties = payload.mass_properties(
         parameters.body, state.load_mass, parameters.load_offset, parameters.load_size, parameters.profile
     )
@@ -298,6 +304,8 @@ def step(
         dt=dt,
         wind_velocity=environment.wind_velocity,
     )
+    if parameters.proximity is not None:
+        rigid = touch_ceiling(parameters.proximity, rigid)
     if parameters.ground is None:
         return AirframeState(rigid, array_of(end), state.load_mass, 0.0, False)
     rigid, force, touching = touch_ground(parameters.ground, rigid, properties, dt)

@@ -19,6 +19,7 @@ from sim_vehicle.endpoints import parse_endpoint
 from sim_vehicle.errors import SimulatorError
 from sim_vehicle.parameter_tables import ARDUPILOT, PX4
 from sim_vehicle.parameters import ParameterStore
+from sim_vehicle.proximity import Proximity
 
 Personality: TypeAlias = Literal["px4", "ardupilot"]
 NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
@@ -41,6 +42,8 @@ class VehicleSection(_Section):
     profile: payload.Profile = "airframe"
     seed: Annotated[int, Field(ge=0)] = 0
     system_id: Annotated[int, Field(ge=1, le=255)] = 1
+    drag_n_s_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.15
+    """K_f of the paper; a 10 kg quadrotor of this size has rather 0.5 to 1 at 5 m/s."""
     physics_dt_s: Annotated[float, Field(ge=0.0005, le=0.005)] = 0.0025
     attitude_ready_s: NotNegative = 0.5
     """The estimator has an attitude this long after power-up; real ArduCopter in simulation: about 6 s."""
@@ -109,6 +112,29 @@ class WindSection(_Section):
         return self
 
 
+class EnvironmentSection(_Section):
+    """[environment]: surfaces near the rotors (see `proximity`)."""
+
+    ground_effect: bool = False
+    ceiling_height_m: float | None = None
+    rotor_radius_m: float = 0.28
+    rotor_height_m: float = 0.25
+
+    @model_validator(mode="after")
+    def _possible(self) -> Self:
+        self.proximity()
+        return self
+
+    def proximity(self) -> Proximity:
+        """The surfaces and rotors. Raises ValueError, for people, if they are not possible."""
+        return Proximity(
+            rotor_radius=self.rotor_radius_m,
+            rotor_height=self.rotor_height_m,
+            ground_effect=self.ground_effect,
+            ceiling_height=self.ceiling_height_m,
+        )
+
+
 class LoadChange(_Section):
     """One entry of payload.schedule: from `time_s` on the load is `mass_kg`."""
 
@@ -159,6 +185,7 @@ class SimConfig(_Section):
     link: LinkSection = LinkSection()
     sensors: SensorsSection = SensorsSection()
     wind: WindSection = WindSection()
+    environment: EnvironmentSection = EnvironmentSection()
     payload: PayloadSection = PayloadSection()
     lockstep: LockstepSection = LockstepSection()
     parameters: dict[str, float | int] = Field(default_factory=dict)

@@ -21,6 +21,7 @@ from sim_vehicle.guidance import Estimate
 from sim_vehicle.mavlink_server import MavlinkServer
 from sim_vehicle.personality_ardupilot import ArduCopterFirmware
 from sim_vehicle.personality_px4 import Px4Firmware
+from sim_vehicle.proximity import Proximity
 from sim_vehicle.truth import TruthRecorder
 
 AIRBORNE_HEIGHT = 0.1
@@ -70,7 +71,10 @@ class SimulatedVehicle:
         self.config = config
         self.time_us = 0
         self.body = airframe.AirframeParameters(
-            profile=config.vehicle.profile, load_offset=config.payload.offset_m
+            profile=config.vehicle.profile,
+            drag=config.vehicle.drag_n_s_m,
+            load_offset=config.payload.offset_m,
+            proximity=_proximity(config),
         )
         self.state = airframe.initial_state()
         self.truth = TruthRecorder()
@@ -194,6 +198,11 @@ def _firmware(config: SimConfig, body: airframe.AirframeParameters) -> Firmware:
     )
     kind = Px4Firmware if config.vehicle.personality == "px4" else ArduCopterFirmware
     return kind(config.make_parameters(), body, readiness)
+
+
+def _proximity(config: SimConfig) -> Proximity | None:
+    e = config.environment
+    return e.proximity() if e.ground_effect or e.ceiling_height_m is not None else None
 
 
 def _noise(config: SimConfig) -> airframe.SensorNoise:

@@ -58,12 +58,17 @@ def complaint(file: Path, text: str) -> str:
 # ------------------------------------------------------------------------------- what is right
 
 
-CONFIGS = ("demo-px4", "demo-ardupilot", "px4-udp", "ardupilot-udp", "serial")
+CONFIGS = (
+    *("demo-px4", "demo-ardupilot", "demo-px4-position", "demo-ardupilot-position"),
+    *("px4-udp", "ardupilot-udp", "serial"),
+)
 
 
 @pytest.mark.parametrize("name", CONFIGS)
 def test_every_bundled_configuration_can_be_flown_as_it_is(name: str) -> None:
-    load(bundled(f"{name}.toml"))
+    config = load(bundled(f"{name}.toml"))
+    assert config.service.controller.name == "kffa-ladrc"
+    assert not (config.service.arm or config.service.engage)  # a file alone never takes control
 
 
 @pytest.mark.parametrize("output", ["rates", "attitude"])

@@ -67,10 +67,10 @@ class DesignSettings:
     disturbance_intensity: Array = field(default_factory=lambda: np.full(4, 100.0))
     rate_variance: Array | None = None
     literal_filter: bool = False
-    angular: tuple[bool, bool, bool, bool] = (True, True, True, False)
+    angular: tuple[bool, ...] = (True, True, True, False)
     pid_gains: Array | None = None
     hand_gains: Array | None = None
-    cascade: tuple[bool, bool, bool, bool] = (False, False, False, True)
+    cascade: tuple[bool, ...] = (False, False, False, True)
     cascade_gains: Array = field(
         default_factory=lambda: np.array([[6.5, 6.5, 2.8, 1.0], [0.0, 0.0, 0.0, 2.0], [0.0, 0.0, 0.0, 4.0]])
     )
@@ -171,7 +171,7 @@ def _hand_gains(settings: DesignSettings) -> Array:
 def _parallel_pid(settings: DesignSettings) -> pid.PidParameters:
     w = settings.omega_c / 2.0
     kp, ki, kd = np.array([3 * w**2, w**3, 3 * w]) if settings.pid_gains is None else settings.pid_gains
-    never = np.zeros(4, dtype=bool)
+    never = np.zeros(len(settings.b0), dtype=bool)
     return pid.PidParameters(kp, ki, kd, settings.b0, settings.trim, never, never, never)
 
 

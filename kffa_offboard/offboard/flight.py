@@ -12,6 +12,7 @@ from typing import Literal
 
 from kffa_offboard.offboard.reference import (
     Land,
+    Offset,
     Reference,
     ScenarioState,
     Segment,
@@ -95,7 +96,8 @@ class Directive:
     ----------
     reference : for the controller
     ground_thrust : collective thrust with level attitude instead of the controller's command
-    align : the reference generator starts from the estimate
+    align : the reference generators start from the estimates, the position is captured
+    offset : m, x and y of the set point from where the position was captured (position ring)
     gripper : actions that fall due
     ending : the flight is over
     reason : why, if it ended in a fault
@@ -107,6 +109,7 @@ class Directive:
     gripper: tuple[Literal["grab", "release"], ...] = ()
     ending: Ending | None = None
     reason: str | None = None
+    offset: Offset = (0.0, 0.0)
 
 
 def begin_flight(time_us: int, airborne: bool, altitude: float, yaw: float) -> FlightState:
@@ -121,9 +124,9 @@ def start_scenario(state: FlightState, time_us: int) -> FlightState:
     return replace(state, started_us=time_us, phase_us=time_us)
 
 
-def hold_here(state: FlightState, altitude: float) -> FlightState:
-    """Keep the present altitude from now on (fly it with an empty scenario)."""
-    return replace(state, scenario=replace(state.scenario, hold_altitude=altitude))
+def hold_here(state: FlightState, altitude: float, offset: Offset) -> FlightState:
+    """Keep this altitude and horizontal set point from now on (fly it with an empty scenario)."""
+    return replace(state, scenario=replace(state.scenario, hold_altitude=altitude, offset=offset))
 
 
 def abandon_takeoff(state: FlightState, time_us: int, thrust: float, failure: str | None) -> FlightState:
@@ -215,7 +218,8 @@ def _step_air(
         if state.phase is Phase.TOUCHDOWN:
             return state, Directive(wanted.reference, state.touchdown_thrust, align=True)
     ending = Ending.IN_AIR if wanted.done else None
-    return state, Directive(wanted.reference, gripper=wanted.gripper, ending=ending)
+    directive = Directive(wanted.reference, gripper=wanted.gripper, ending=ending, offset=scenario.offset)
+    return state, directive
 
 
 def _watch_touchdown(settings: ServiceSettings, state: FlightState, sample: FlightSample) -> FlightState:

@@ -17,6 +17,8 @@ from kffa_offboard.control.rotation import body_rates_to_euler_rates, euler_rate
 from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
 from kffa_offboard.offboard.flight import Directive
 from kffa_offboard.offboard.guard import check_target, tilt_factor
+from kffa_offboard.offboard.horizontal import HorizontalState, begin_horizontal, step_horizontal
+from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry, reported_target, reported_thrust
 
@@ -42,6 +44,7 @@ class LoopState:
     vertical_thrust : last command on the altitude channel
     sent, sent_us : last setpoint of this engagement and when; None before the first
     blend : None outside an engagement in the air
+    horizontal : the position ring, None without one
     """
 
     controller: controllers.ControllerState
@@ -52,6 +55,12 @@ class LoopState:
     sent: AttitudeTarget | None = None
     sent_us: int = 0
     blend: Blend | None = None
+    horizontal: HorizontalState | None = None
+
+    @property
+    def hold_offset(self) -> Offset:
+        """Where the vehicle comes to rest if it is told to hold now, from the captured position, m."""
+        return (0.0, 0.0) if self.horizontal is None else self.horizontal.hold_offset
 
     def resent(self, time_us: int) -> LoopState:
         """The last setpoint was repeated at `time_us`."""
@@ -79,6 +88,11 @@ class Order:
     capture: bool = False
     airborne: bool = False
 
+    @property
+    def controls(self) -> bool:
+        """The daemon's command acts, and has from the step before."""
+        return self.acting and not self.capture
+
 
 @dataclass(frozen=True, slots=True)
 class LoopStep:
@@ -97,7 +111,11 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
     applied = autopilot_command(settings, known, time_us, measured)
     controller = controllers.initial_state(settings.controller, measured, applied)
     altitude = float(measured[3])
-    return LoopState(controller, known.position.sample_time_us, altitude, altitude, float(applied[3]))
+    horizontal = begin_horizontal(settings.position, known)
+    thrust = float(applied[3])
+    return LoopState(
+        controller, known.position.sample_time_us, altitude, altitude, thrust, horizontal=horizontal
+    )
 
 
 def forget_sent(loop: LoopState) -> LoopState:
@@ -176,16 +194,16 @@ def step_loop(
         controller = controllers.align_reference(parameters, controller)
     measured = _measurement(known)
     fresh = np.array([True, True, True, known.position.sample_time_us != loop.position_us])
-    inputs = controllers.ControllerInput(
-        np.array(order.directive.reference), measured, fresh, _measured_rate(known)
+    horizontal, reference = step_horizontal(
+        settings.position, loop.horizontal, known, order.directive, order.controls, bool(fresh[3]), dt
     )
+    inputs = controllers.ControllerInput(np.array(reference), measured, fresh, _measured_rate(known))
     controller, output = controllers.step(parameters, controller, inputs, dt)
     stop = float(output.estimate[3] + settings.reference_lag_s * output.estimate_rate[3])
     loop = replace(loop, position_us=known.position.sample_time_us, altitude=float(output.estimate[3]))
-    loop = replace(loop, hold_altitude=stop)
+    loop = replace(loop, hold_altitude=stop, horizontal=horizontal)
     near = output.estimate
-    ours = order.acting and not order.capture
-    own = np.zeros(4) if ours else autopilot_command(settings, known, time_us, near)
+    own = np.zeros(4) if order.controls else autopilot_command(settings, known, time_us, near)
     if not order.sending:
         controller = controllers.with_applied(parameters, controller, own)
         loop = replace(loop, controller=controller, vertical_thrust=float(own[3]))

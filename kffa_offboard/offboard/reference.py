@@ -12,11 +12,13 @@ from dataclasses import dataclass, field, replace
 from math import floor, pi, sin, sqrt
 from typing import Literal, TypeAlias
 
+from kffa_offboard.offboard.profile import Profile, plan_profile, profile_altitude
 from kffa_offboard.offboard.segments import (
     Channel,
     Gripper,
     Hold,
     Land,
+    Move,
     Segment,
     Sine,
     Step,
@@ -33,6 +35,7 @@ __all__ = [
     "Gripper",
     "Hold",
     "Land",
+    "Move",
     "Profile",
     "Reference",
     "ScenarioOutput",
@@ -55,6 +58,7 @@ __all__ = [
 ]
 
 Reference: TypeAlias = tuple[float, float, float, float]
+Offset: TypeAlias = tuple[float, float]
 _CHANNELS: tuple[Channel, ...] = ("roll", "pitch", "yaw", "altitude")
 
 
@@ -77,70 +81,6 @@ def wave(segment: Wave, time_s: float) -> float:
             return segment.amplitude * (1.0 - abs(4.0 * (phase - floor(phase)) - 2.0))
 
 
-# --------------------------------------------------------------------- altitude profile
-
-
-@dataclass(frozen=True, slots=True)
-class Profile:
-    """Altitude change with limited speed and acceleration (trapezoid of speed).
-
-    Attributes
-    ----------
-    start, target : m
-    initial : m/s, speed at the beginning towards the target
-    peak : m/s, speed that is reached
-    acceleration : m/s^2
-    """
-
-    start: float
-    target: float
-    initial: float
-    peak: float
-    acceleration: float
-
-    @property
-    def times(self) -> tuple[float, float, float]:
-        """Durations of speeding up, cruise and slowing down, s."""
-        rise = (self.peak - self.initial) / self.acceleration
-        fall = self.peak / self.acceleration
-        ramps = (self.peak**2 - self.initial**2 + self.peak**2) / (2.0 * self.acceleration)
-        left = abs(self.target - self.start) - ramps
-        return rise, max(0.0, left) / self.peak if self.peak > 0.0 else 0.0, fall
-
-    @property
-    def duration(self) -> float:
-        """Time from start to target, s."""
-        return sum(self.times)
-
-
-def plan_profile(
-    start: float, target: float, speed: float, acceleration: float, climb_rate: float
-) -> Profile:
-    """Plan a change of altitude that begins with the present `climb_rate` (m/s, up positive).
-
-    A speed away from the target, or more than can be braked in time, is left to the controller: the
-    profile then begins with the nearest speed that it can have.
-    """
-    distance = abs(target - start)
-    towards = climb_rate if target >= start else -climb_rate
-    initial = min(max(towards, 0.0), speed, sqrt(2.0 * acceleration * distance))
-    peak = min(speed, sqrt(acceleration * distance + 0.5 * initial**2))
-    return Profile(start, target, initial, max(peak, initial), acceleration)
-
-
-def profile_altitude(profile: Profile, time_s: float) -> float:
-    """Altitude of the profile `time_s` after its beginning, m."""
-    rise, cruise, fall = profile.times
-    if time_s >= rise + cruise + fall:
-        return profile.target
-    up = min(max(time_s, 0.0), rise)
-    level = min(max(time_s - rise, 0.0), cruise)
-    down = max(time_s - rise - cruise, 0.0)
-    moved = profile.initial * up + 0.5 * profile.acceleration * up**2
-    moved += profile.peak * (level + down) - 0.5 * profile.acceleration * down**2
-    return profile.start + (moved if profile.target >= profile.start else -moved)
-
-
 # --------------------------------------------------------------------------- the player
 
 
@@ -158,6 +98,8 @@ class ScenarioState:
     near_since_s : since when the vehicle is at the take-off altitude
     descent_rate : m/s, momentary speed of the landing reference, positive down
     last_s : time of the last step
+    offset : m, x and y of the set point from where the position was captured (position ring)
+    origin : m, the same when the current segment began
     """
 
     hold_altitude: float
@@ -169,6 +111,8 @@ class ScenarioState:
     near_since_s: float | None = None
     descent_rate: float = 0.0
     last_s: float = 0.0
+    offset: Offset = (0.0, 0.0)
+    origin: Offset = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -251,7 +195,13 @@ def _level(state: ScenarioState) -> Reference:
 
 def _next(state: ScenarioState, ended_s: float) -> ScenarioState:
     return replace(
-        state, index=state.index + 1, started_s=ended_s, profile=None, near_since_s=None, descent_rate=0.0
+        state,
+        index=state.index + 1,
+        started_s=ended_s,
+        profile=None,
+        near_since_s=None,
+        descent_rate=0.0,
+        origin=state.offset,
     )
 
 
@@ -270,6 +220,8 @@ def _step_segment(
             return _step_takeoff(settings, state, now_s, altitude)
         case Land():
             return _step_land(settings, segment, state, now_s, altitude)
+        case Move():
+            return _step_move(settings, segment, state, now_s)
         case Step() | Triangle() | Sine():
             ends = state.started_s + wave_duration(segment)
             if now_s >= ends:
@@ -279,6 +231,17 @@ def _step_segment(
             return state, (reference[0], reference[1], reference[2], reference[3]), None, None
         case Gripper():
             return state, _level(state), now_s, None
+
+
+def _step_move(settings: FlightSettings, segment: Move, state: ScenarioState, now_s: float) -> _Progress:
+    """The set point goes its straight line and stays at the end; it is there when the segment ends."""
+    ends = state.started_s + segment.duration_s
+    profile = segment.profile(settings.acceleration_m_s2)
+    elapsed = min(now_s, ends) - state.started_s
+    share = profile_altitude(profile, elapsed) / profile.target if profile.target > 0.0 else 0.0
+    offset = (state.origin[0] + share * segment.north_m, state.origin[1] - share * segment.east_m)
+    state = replace(state, offset=offset)
+    return state, _level(state), ends if now_s >= ends else None, None
 
 
 def _step_takeoff(settings: FlightSettings, state: ScenarioState, now_s: float, altitude: float) -> _Progress:

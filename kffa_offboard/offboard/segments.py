@@ -7,8 +7,10 @@ the heading at engaging and from the altitude that the previous segment left.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import isfinite
+from math import hypot, isfinite
 from typing import Literal, TypeAlias
+
+from kffa_offboard.offboard.profile import Profile, plan_profile
 
 Channel: TypeAlias = Literal["roll", "pitch", "yaw", "altitude"]
 
@@ -58,6 +60,24 @@ class Sine:
 
 
 @dataclass(frozen=True, slots=True)
+class Move:
+    """Go from the present set point `north_m` and `east_m` further, in a straight line, within `duration_s`.
+
+    At most `speed_m_s` fast; needs the position ring.
+    """
+
+    north_m: float
+    east_m: float
+    duration_s: float
+    speed_m_s: float = 2.0
+
+    def profile(self, acceleration_m_s2: float) -> Profile:
+        """The way along the line, m."""
+        distance = hypot(self.north_m, self.east_m)
+        return plan_profile(0.0, distance, self.speed_m_s, acceleration_m_s2, 0.0)
+
+
+@dataclass(frozen=True, slots=True)
 class Gripper:
     """Work the gripper; takes no time."""
 
@@ -72,7 +92,7 @@ class Land:
 
 
 Wave: TypeAlias = Step | Triangle | Sine
-Segment: TypeAlias = Takeoff | Hold | Wave | Gripper | Land
+Segment: TypeAlias = Takeoff | Hold | Wave | Move | Gripper | Land
 
 
 def _numbers(segment: Segment) -> list[tuple[str, float]]:
@@ -82,6 +102,8 @@ def _numbers(segment: Segment) -> list[tuple[str, float]]:
             return [("altitude_m", segment.altitude_m), ("climb_rate_m_s", segment.climb_rate_m_s)]
         case Hold() | Step():
             return [("duration_s", segment.duration_s)]
+        case Move():
+            return [("duration_s", segment.duration_s), ("speed_m_s", segment.speed_m_s)]
         case Triangle() | Sine():
             return [("period_s", segment.period_s), ("cycles", segment.cycles)]
         case Land():
@@ -105,6 +127,8 @@ def check_scenario(segments: tuple[Segment, ...]) -> None:
                 raise ValueError(f"scenario segment {k} ({kind}): {name} = {value} must be positive")
         if isinstance(segment, (Step, Triangle, Sine)) and not isfinite(segment.amplitude):
             raise ValueError(f"scenario segment {k} ({kind}): amplitude = {segment.amplitude} must be finite")
+        if isinstance(segment, Move) and not (isfinite(segment.north_m) and isfinite(segment.east_m)):
+            raise ValueError(f"scenario segment {k} (move): north_m and east_m must be finite")
         if isinstance(segment, Land) and k < len(segments):
             raise ValueError(f"scenario segment {k} (land): must be the last one; remove what follows")
 

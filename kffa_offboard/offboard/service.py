@@ -22,6 +22,7 @@ from dataclasses import replace
 from kffa_offboard.offboard import events, telemetry
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
+from kffa_offboard.offboard.horizontal import astray, position_jump
 from kffa_offboard.offboard.loop import Order, begin_loop, step_loop
 from kffa_offboard.offboard.sequence import (
     EngagePhase,
@@ -201,11 +202,14 @@ class Service(Session):
         self._follow_heartbeat(time_us, event)
 
     def _on_position(self, time_us: int, event: events.PositionReceived) -> None:
+        last = self._known.position
         self._known, sample = telemetry.receive_position(
             self.settings.telemetry, self.settings.limits, self._known, time_us, event
         )
-        if sample.fault is not None:
-            self._fault(time_us, sample.fault)
+        jump = position_jump(self.settings.position, last, event) if sample.accepted else None
+        fault = sample.fault or jump
+        if fault is not None:
+            self._fault(time_us, fault)
         else:
             self._check_limits(time_us)
 
@@ -233,6 +237,8 @@ class Service(Session):
         if self.state in SENDING and self._flight is not None:
             ground = self._flight.scenario.ground
             outside = telemetry.outside_limits(self.settings.limits, self._known, ground)
+            if outside is None and self._loop is not None:
+                outside = astray(self.settings.position, self._loop.horizontal)
             if outside is not None:
                 self._failsafe(time_us, outside)
 

@@ -305,7 +305,7 @@ class Session:
         """Hold here and ask for HOLD; setpoints go on until a heartbeat shows another mode."""
         assert self._flight is not None and self._loop is not None
         timing = self.settings.sequence
-        self._flight = hold_here(self._flight, self._loop.hold_altitude)
+        self._flight = hold_here(self._flight, self._loop.hold_altitude, self._loop.hold_offset)
         hold = SetMode(ModeKind.HOLD)
         retry = begin_retry(hold, time_us, timing.hold_retry_s, timing.hold_timeout_s)
         self._begin_release(time_us, retry, outcome)

@@ -7,11 +7,12 @@ All records are frozen. Suffixes give units: `_s`, `_us`, `_hz`, `_m`, `_m_s`, `
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from math import inf, isfinite, pi
+from math import ceil, degrees, inf, isfinite, pi
 from typing import Literal, TypeAlias
 
 from kffa_offboard.control.controllers import ControllerParameters
-from kffa_offboard.offboard.segments import Land, Segment, Takeoff, check_scenario
+from kffa_offboard.control.position import PositionParameters
+from kffa_offboard.offboard.segments import Land, Move, Segment, Sine, Step, Takeoff, Triangle, check_scenario
 
 FailsafeAction: TypeAlias = Literal["stop", "hold", "land"]
 OutputKind: TypeAlias = Literal["rates", "attitude"]
@@ -176,7 +177,7 @@ class FlightSettings:
     liftoff_climb_rate_m_s, liftoff_height_m : either of them is lift-off, once the ramp has reached
         `liftoff_thrust_fraction` of hover thrust (an estimate that drifts on the ground is none)
     liftoff_timeout_s : longest ramp; then thrust is taken back and the flight is given up
-    acceleration_m_s2 : of altitude profiles
+    acceleration_m_s2 : of the profiles of altitude and of moves
     arrival_tolerance_m, arrival_time_s : a take-off has arrived within this, for this long
     arrival_timeout_s : longest wait for that after the profile's end
     slow_height_m, slow_descent_rate_m_s : descent near the ground
@@ -213,6 +214,34 @@ class FlightSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class PositionSettings:
+    """The position ring (outer loop of x and y).
+
+    Attributes
+    ----------
+    ring : from `control.position.design_ring`
+    tilt_max_rad : largest tilt that the ring commands
+    braking_m_s2 : deceleration that is reckoned with when the place to stop is captured
+    error_max_m : distance between set point and estimate that is a failsafe
+    jump_m, speed_max_m_s : a change of position between two samples of more than
+        jump + speed * dt is impossible
+    """
+
+    ring: PositionParameters
+    tilt_max_rad: float
+    braking_m_s2: float = 1.0
+    error_max_m: float = 5.0
+    jump_m: float = 1.0
+    speed_max_m_s: float = 20.0
+
+    def __post_init__(self) -> None:
+        _require(self, "position")
+        for name in ("tilt_max_rad", "braking_m_s2", "error_max_m", "speed_max_m_s"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"position.{name} = {getattr(self, name)}: must be positive")
+
+
+@dataclass(frozen=True, slots=True)
 class ServiceSettings:
     """All that the service is told before it starts.
 
@@ -226,6 +255,7 @@ class ServiceSettings:
     arm : the daemon may arm (and then disarms after landing)
     shadow : observe only; neither setpoints nor modes nor arming are ever sent
     failsafe_action : what happens to the vehicle when the service gives up
+    position : the position ring, which then commands roll and pitch; None: attitude and altitude only
     """
 
     controller: ControllerParameters
@@ -240,6 +270,7 @@ class ServiceSettings:
     limits: LimitSettings = field(default_factory=LimitSettings)
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
     flight: FlightSettings = field(default_factory=FlightSettings)
+    position: PositionSettings | None = None
 
     def __post_init__(self) -> None:
         if not self.limits.thrust_min < self.hover_thrust < self.limits.thrust_max:
@@ -255,6 +286,7 @@ class ServiceSettings:
             )
         check_scenario(self.scenario)
         self._check_altitudes()
+        self._check_position()
 
     @property
     def reference_lag_s(self) -> float:
@@ -278,3 +310,35 @@ class ServiceSettings:
                     f"limits.altitude_min_m = {self.limits.altitude_min_m} m makes landing a failsafe; "
                     "set it below zero"
                 )
+
+    def _check_position(self) -> None:
+        """Who commands roll and pitch: the position ring or the scenario, never both."""
+        ring = self.position
+        if ring is not None and ring.tilt_max_rad > self.limits.tilt_max_rad + 1e-9:
+            raise ValueError(
+                f"position.tilt_max_deg = {degrees(ring.tilt_max_rad):g}: is above limits.tilt_max_deg "
+                f"= {degrees(self.limits.tilt_max_rad):g}; lower the one or raise the other"
+            )
+        for k, segment in enumerate(self.scenario, start=1):
+            if isinstance(segment, Move):
+                if ring is None:
+                    raise ValueError(
+                        f"scenario segment {k} (move): needs the position ring; set [position] enabled = true"
+                    )
+                self._check_move(k, segment)
+            if ring is None or not isinstance(segment, (Step, Triangle, Sine)):
+                continue
+            if segment.channel in ("roll", "pitch"):
+                raise ValueError(
+                    f"scenario segment {k}: {segment.channel} is commanded by the position ring; remove the "
+                    "segment or set [position] enabled = false"
+                )
+
+    def _check_move(self, k: int, segment: Move) -> None:
+        needed = segment.profile(self.flight.acceleration_m_s2).duration
+        if segment.duration_s < needed:
+            raise ValueError(
+                f"scenario segment {k} (move): duration_s = {segment.duration_s:g} is too short at "
+                f"speed_m_s = {segment.speed_m_s:g} and flight.acceleration_m_s2 = "
+                f"{self.flight.acceleration_m_s2:g}; give at least {ceil(10.0 * needed) / 10.0:g}"
+            )

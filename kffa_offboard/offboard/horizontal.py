@@ -1,0 +1,134 @@
+"""The position ring in the service: where it holds, what it is told, and when it has gone astray.
+
+Without `ServiceSettings.position` nothing here does anything, and the scenario's roll and pitch references
+pass. With it the ring runs at every control step, in shadow, too. Whatever aligns the reference generators
+(standing on the ground, lift-off, engaging in the air) also captures the place where the vehicle would
+come to rest; from then on that place, moved by the scenario, is held.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import hypot
+
+import numpy as np
+
+from kffa_offboard.control import Array, controllers, position
+from kffa_offboard.offboard.events import PositionReceived
+from kffa_offboard.offboard.flight import Directive
+from kffa_offboard.offboard.reference import Offset, Reference
+from kffa_offboard.offboard.settings import PositionSettings
+from kffa_offboard.offboard.telemetry import Telemetry
+
+
+@dataclass(frozen=True, slots=True)
+class HorizontalState:
+    """What one step of the ring leaves for the next.
+
+    Attributes
+    ----------
+    ring : state of the two channels
+    captured : m, x and y of the place that was captured
+    hold_offset : m, where the vehicle comes to rest if it is told to hold now, from `captured`
+    error : m, distance between the tracked set point and the estimate while it is being held, else 0
+    """
+
+    ring: controllers.ControllerState
+    captured: Offset
+    hold_offset: Offset = (0.0, 0.0)
+    error: float = 0.0
+
+
+def begin_horizontal(settings: PositionSettings | None, known: Telemetry) -> HorizontalState | None:
+    """Start the ring at rest at the present measurement; None if there is no ring."""
+    if settings is None:
+        return None
+    assert known.attitude is not None and known.position is not None
+    place = known.position.position[:2]
+    ring = position.initial_state(settings.ring, np.array(place), _acceleration(settings, known))
+    return HorizontalState(ring, place)
+
+
+def step_horizontal(
+    settings: PositionSettings | None,
+    state: HorizontalState | None,
+    known: Telemetry,
+    directive: Directive,
+    acting: bool,
+    fresh: bool,
+    dt: float,
+) -> tuple[HorizontalState | None, Reference]:
+    """One step of the ring, and the reference of the four channels with its roll and pitch.
+
+    Parameters
+    ----------
+    acting : the daemon's setpoints act, not the autopilot's own
+    fresh : the position is a new sample
+    """
+    if settings is None or state is None:
+        return state, directive.reference
+    assert known.attitude is not None and known.position is not None
+    grounded = directive.ground_thrust is not None
+    # On the ground the gear takes what the attitude gives.
+    acceleration = np.zeros(2) if grounded else _acceleration(settings, known)
+    ring, captured = state.ring, state.captured
+    if directive.align:
+        ring = position.align_reference(settings.ring, ring)
+        stop = _stop(settings, ring)
+        captured = (stop[0] - directive.offset[0], stop[1] - directive.offset[1])
+    inputs = position.PositionInput(
+        reference=np.add(captured, directive.offset),
+        measurement=np.array(known.position.position[:2]),
+        fresh=np.full(2, fresh),
+        yaw=known.attitude.attitude[2],
+        measured_rate=np.array(known.position.velocity[:2]),
+        acceleration=acceleration,
+    )
+    ring, output = position.step(settings.ring, ring, inputs, dt)
+    if grounded or not acting:
+        ring = position.with_applied(settings.ring, ring, acceleration)
+    stop = _stop(settings, ring)
+    away = output.ring.reference - output.ring.estimate
+    state = HorizontalState(
+        ring,
+        captured,
+        hold_offset=(stop[0] - captured[0], stop[1] - captured[1]),
+        error=0.0 if grounded or not acting else hypot(*away.tolist()),
+    )
+    _, _, yaw, altitude = directive.reference
+    roll, pitch = (0.0, 0.0) if grounded else output.attitude.tolist()
+    return state, (roll, pitch, yaw, altitude)
+
+
+def _acceleration(settings: PositionSettings, known: Telemetry) -> Array:
+    """What the measured attitude gives, (2,) m/s^2."""
+    assert known.attitude is not None
+    return position.acceleration_of(settings.ring.gravity, np.array(known.attitude.attitude))
+
+
+def _stop(settings: PositionSettings, ring: controllers.ControllerState) -> Offset:
+    """Where the vehicle comes to rest with the braking that is reckoned with, m."""
+    (x, y), (vx, vy) = ring.observer.estimate.tolist(), ring.observer.rate.tolist()
+    differentiator = settings.ring.controller.differentiator
+    lag = 0.0 if differentiator is None else 2.0 * differentiator.filter_time
+    time = lag + 0.5 * hypot(vx, vy) / settings.braking_m_s2
+    return x + time * vx, y + time * vy
+
+
+def astray(settings: PositionSettings | None, state: HorizontalState | None) -> str | None:
+    """Say so if the vehicle is too far from its set point (a compass or an estimate is wrong)."""
+    if settings is None or state is None or state.error <= settings.error_max_m:
+        return None
+    return f"{state.error:.1f} m from the set point"
+
+
+def position_jump(
+    settings: PositionSettings | None, last: PositionReceived | None, new: PositionReceived
+) -> str | None:
+    """Say so if the horizontal position changed more than the vehicle can have moved."""
+    if settings is None or last is None:
+        return None
+    dt = (new.sample_time_us - last.sample_time_us) * 1e-6
+    jump = hypot(new.position[0] - last.position[0], new.position[1] - last.position[1])
+    allowed = settings.jump_m + settings.speed_max_m_s * max(dt, 0.0)
+    return f"position jumped {jump:.1f} m, {allowed:.1f} possible" if jump > allowed else None

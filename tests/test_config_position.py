@@ -1,0 +1,81 @@
+"""`[position]` and `type = "move"` in a configuration file."""
+
+from __future__ import annotations
+
+from math import radians
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from kffa_offboard.config import ConfigError, bundled, load
+from kffa_offboard.control.position import STANDARD_GRAVITY
+from kffa_offboard.offboard.segments import Move
+
+MINIMAL = """
+[link]
+url = "udpin:127.0.0.1:14540"
+[control.altitude]
+hover_thrust = 0.4
+"""
+MOVE = '[[scenario.segment]]\ntype = "move"\nnorth_m = 3\nduration_s = 5\n'
+
+
+def written(tmp_path: Path, text: str) -> Path:
+    file = tmp_path / "vehicle.toml"
+    file.write_text(MINIMAL + text)
+    return file
+
+
+def test_without_the_table_there_is_no_ring(tmp_path: Path) -> None:
+    assert load(written(tmp_path, "")).service.position is None
+    assert load(written(tmp_path, "[position]\nomega_c = 1.5\n")).service.position is None
+
+
+def test_the_numbers_reach_the_ring(tmp_path: Path) -> None:
+    text = "[position]\nenabled = true\nomega_c = 1.5\nomega_o = 5\ntilt_max_deg = 15\ndelay_s = 0.05\n"
+    position = load(written(tmp_path, text)).service.position
+    assert position is not None
+    ring = position.ring.controller
+    assert ring.name == "kffa-ladrc" and ring.law is not None and ring.prediction is not None
+    assert ring.law.omega_c.tolist() == [1.5, 1.5]
+    assert ring.actuator.delay.tolist() == [0.05, 0.05]
+    assert ring.prediction == pytest.approx(0.05 + 0.12)  # delay and lag
+    assert position.tilt_max_rad == pytest.approx(radians(15.0))
+    assert position.ring.acceleration_max == pytest.approx(STANDARD_GRAVITY * np.tan(radians(15.0)))
+
+
+def test_a_move_becomes_a_segment(tmp_path: Path) -> None:
+    service = load(written(tmp_path, "[position]\nenabled = true\n" + MOVE)).service
+    assert service.scenario == (Move(3.0, 0.0, 5.0, 2.0),)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (MOVE, "scenario segment 1 (move): needs the position ring; set [position] enabled = true"),
+        (
+            "[position]\ntilt_max_rad = 0.3\n",
+            "position.tilt_max_rad = 0.3: unknown key; did you mean tilt_max_deg",
+        ),
+        (
+            "[position]\ntilt_max_deg = 0.35\n",
+            "position.tilt_max_deg = 0.35: is below 3 deg; were these radians?",
+        ),
+        ("[position]\nomega_o = 1.0\n", "must rise in this order"),
+        ("[position]\nenabled = true\ntilt_max_deg = 40\n", "is above limits.tilt_max_deg = 30"),
+    ],
+)
+def test_what_cannot_be_flown_is_one_line(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError) as error:
+        load(written(tmp_path, text))
+    assert "\n" not in str(error.value)
+    assert message in str(error.value)
+
+
+@pytest.mark.parametrize("personality", ["px4", "ardupilot"])
+def test_the_position_demonstration_flies_the_demonstrations_controller(personality: str) -> None:
+    plain = load(bundled(f"demo-{personality}.toml")).service
+    ring = load(bundled(f"demo-{personality}-position.toml")).service
+    assert ring.position is not None and plain.position is None
+    assert repr(ring.controller) == repr(plain.controller)
