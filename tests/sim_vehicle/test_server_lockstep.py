@@ -157,9 +157,9 @@ def test_no_controller_at_all_is_an_error(url, text):
 
 
 def test_a_controller_that_comes_late_finds_the_first_request_repeated():
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as placeholder:
-        placeholder.bind(("127.0.0.1", 0))
-        port = placeholder.getsockname()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as reserved:
+        reserved.bind(("127.0.0.1", 0))
+        port = reserved.getsockname()[1]
     came: list[Controller] = []
 
     def come() -> None:

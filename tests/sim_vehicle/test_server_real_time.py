@@ -125,8 +125,8 @@ def test_a_busy_port_is_named_in_one_line(scheme):
 
 
 def test_a_tcp_server_that_is_not_there_is_named():
-    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as placeholder:
-        placeholder.bind(("127.0.0.1", 0))
-        port = placeholder.getsockname()[1]
+    with socket.socket(socket.AF_INET, socket.SOCK_STREAM) as reserved:
+        reserved.bind(("127.0.0.1", 0))
+        port = reserved.getsockname()[1]
         with pytest.raises(SimulatorError, match="nothing listens"):
             links_of(f"tcp:127.0.0.1:{port}")
