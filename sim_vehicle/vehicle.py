@@ -14,18 +14,15 @@ from typing import NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_vehicle import airframe, environment
+from sim_vehicle import airframe
 from sim_vehicle.config import SimConfig
 from sim_vehicle.firmware import Firmware, Readiness
 from sim_vehicle.guidance import Estimate
 from sim_vehicle.mavlink_server import MavlinkServer
 from sim_vehicle.personality_ardupilot import ArduCopterFirmware
 from sim_vehicle.personality_px4 import Px4Firmware
-from sim_vehicle.proximity import Proximity
+from sim_vehicle.plant import Plant
 from sim_vehicle.truth import TruthRecorder
-
-AIRBORNE_HEIGHT = 0.1
-"""The airborne clock of the payload schedule starts when the vehicle is first this high [m]."""
 
 
 class _Datagram(NamedTuple):
@@ -61,40 +58,52 @@ class SimulatedVehicle:
 
     Attributes
     ----------
-    time_us : simulated time since power-up [us]
-    state : true state of the airframe; may be replaced before the first `advance`
+    plant : the flying body
     firmware, server : the autopilot and its MAVLink side
-    truth : recorder of true states and events
     """
 
     def __init__(self, config: SimConfig) -> None:
         self.config = config
-        self.time_us = 0
-        self.body = airframe.AirframeParameters(
-            profile=config.vehicle.profile,
-            drag=config.vehicle.drag_n_s_m,
-            load_offset=config.payload.offset_m,
-            proximity=_proximity(config),
-        )
-        self.state = airframe.initial_state()
-        self.truth = TruthRecorder()
-        self.firmware = _firmware(config, self.body)
-        self._step_us = round(config.vehicle.physics_dt_s * 1e6)
-        self._dt = self._step_us * 1e-6
-        self.server = MavlinkServer(self.firmware, config.vehicle.system_id, 1.0 / self._dt)
         seeds = np.random.SeedSequence(config.vehicle.seed).spawn(4)
-        self._sensor_generator, self._wind_generator, up, down = (np.random.default_rng(s) for s in seeds)
+        self._sensor_generator, wind, up, down = (np.random.default_rng(s) for s in seeds)
+        self.plant = Plant(config, wind)
+        self.firmware = _firmware(config, self.plant.body)
+        self.server = MavlinkServer(self.firmware, config.vehicle.system_id, 1.0 / self.plant.dt)
         link = config.link
         self._uplink = _DelayLine(link.command_delay_s, link.jitter_s, up)
         self._downlink = _DelayLine(link.telemetry_delay_s, link.jitter_s, down)
         self._noise = _noise(config)
-        self._wind = _wind(config)
-        self._gust = np.zeros(3)
-        self._changes = deque((c.time_s, c.mass_kg) for c in config.payload.schedule)
-        self._airborne_at_us: int | None = None
         self._climb_rate = 0.0
         self._estimate = self._sense()
         self._record()
+
+    @property
+    def time_us(self) -> int:
+        """Simulated time since power-up [us]."""
+        return self.plant.time_us
+
+    @property
+    def body(self) -> airframe.AirframeParameters:
+        """What flies."""
+        return self.plant.body
+
+    @property
+    def state(self) -> airframe.AirframeState:
+        """True state of the airframe; may be replaced before the first `advance`."""
+        return self.plant.state
+
+    @state.setter
+    def state(self, state: airframe.AirframeState) -> None:
+        self.plant.state = state
+
+    @property
+    def truth(self) -> TruthRecorder:
+        """Recorder of true states and events."""
+        return self.plant.truth
+
+    def set_load(self, mass_kg: float) -> None:
+        """Carry a load of `mass_kg` from now on; 0 drops it. ValueError if there can be no such load."""
+        self.plant.set_load(mass_kg)
 
     # ------------------------------------------------------------------------------ the border
 
@@ -120,7 +129,7 @@ class SimulatedVehicle:
 
     def advance(self, until_us: int) -> None:
         """Let simulated time go on, in whole physics steps, to `until_us` at most."""
-        while self.time_us + self._step_us <= until_us:
+        while self.time_us + self.plant.step_us <= until_us:
             self._step()
 
     # -------------------------------------------------------------------------------- one step
@@ -131,13 +140,11 @@ class SimulatedVehicle:
             self.server.time_us = self.time_us
             self.server.receive(datagram.peer, datagram.data)
         self.server.run_due(self.time_us)
-        commands = self.firmware.step(self._estimate, self._dt)
-        self._update_load()
-        self._gust, surroundings = environment.advance(
-            self._wind, self._gust, self.time_us * 1e-6, self._wind_generator, self._dt
-        )
-        self.state = airframe.step(self.body, self.state, np.array(commands), surroundings, self._dt)
-        self.time_us += self._step_us
+        commands = self.firmware.step(self._estimate, self.plant.dt)
+        for action in self.firmware.gripper_requests:
+            self.plant.work_gripper(action)
+        self.firmware.gripper_requests.clear()
+        self.plant.step(np.array(commands))
         self._estimate = self._sense()
         for peer, data in self.server.emit(self._estimate):
             self._downlink.put(self.time_us, peer, data)
@@ -150,7 +157,7 @@ class SimulatedVehicle:
     def _sense(self) -> Estimate:
         measured = airframe.measure(self._noise, self.state, self._sensor_generator)
         climb_rate = float(self.state.rigid[5])
-        acceleration = (climb_rate - self._climb_rate) / self._dt
+        acceleration = (climb_rate - self._climb_rate) / self.plant.dt
         self._climb_rate = climb_rate
         x, y, z = measured.position.tolist()
         vx, vy, vz = measured.velocity.tolist()
@@ -159,37 +166,7 @@ class SimulatedVehicle:
         return Estimate(self.time_us, (x, y, z), (vx, vy, vz), (roll, pitch, yaw), (p, q, r), acceleration)
 
     def _record(self) -> None:
-        self.truth.record(
-            self.time_us,
-            self.state.rigid.tolist(),
-            float(self.state.motor_thrust.sum()),
-            float(np.asarray(self.state.load_mass)),
-            self.firmware.armed,
-            self.firmware.mode_name,
-        )
-
-    # ------------------------------------------------------------------------------------ load
-
-    def set_load(self, mass_kg: float) -> None:
-        """Carry a load of `mass_kg` from now on; 0 drops it. ValueError if there can be no such load."""
-        before = float(np.asarray(self.state.load_mass))
-        if mass_kg == before:
-            return
-        self.state = airframe.with_load(self.state, mass_kg)
-        word = "pick-up" if mass_kg > before else "drop"
-        self.truth.event(self.time_us, f"{word} {abs(mass_kg - before):.6g} kg")
-
-    def _update_load(self) -> None:
-        for action in self.firmware.gripper_requests:
-            self.set_load(self.config.payload.gripper_mass_kg if action == "grab" else 0.0)
-        self.firmware.gripper_requests.clear()
-        if self._airborne_at_us is None and self.state.rigid[2] > AIRBORNE_HEIGHT:
-            self._airborne_at_us = self.time_us
-        if not self._changes:
-            return
-        start = 0 if self.config.payload.clock == "boot" else self._airborne_at_us
-        while start is not None and self._changes and self.time_us - start >= self._changes[0][0] * 1e6:
-            self.set_load(self._changes.popleft()[1])
+        self.plant.record(self.firmware.armed, self.firmware.mode_name)
 
 
 def _firmware(config: SimConfig, body: airframe.AirframeParameters) -> Firmware:
@@ -198,11 +175,6 @@ def _firmware(config: SimConfig, body: airframe.AirframeParameters) -> Firmware:
     )
     kind = Px4Firmware if config.vehicle.personality == "px4" else ArduCopterFirmware
     return kind(config.make_parameters(), body, readiness)
-
-
-def _proximity(config: SimConfig) -> Proximity | None:
-    e = config.environment
-    return e.proximity() if e.ground_effect or e.ceiling_height_m is not None else None
 
 
 def _noise(config: SimConfig) -> airframe.SensorNoise:
@@ -214,18 +186,4 @@ def _noise(config: SimConfig) -> airframe.SensorNoise:
         climb_rate=s.climb_rate_noise_m_s,
         horizontal_position=s.horizontal_position_noise_m,
         horizontal_velocity=s.horizontal_velocity_noise_m_s,
-    )
-
-
-def _wind(config: SimConfig) -> environment.Wind:
-    w = config.wind
-    force = w.sine_amplitude_n != 0.0
-    return environment.Wind(
-        mean=w.mean_m_s,
-        gust_std=w.gust_std_m_s,
-        gust_time_constant=w.gust_time_constant_s,
-        sine_amplitude=w.sine_amplitude_n if force else w.sine_amplitude_m_s2,
-        sine_period=w.sine_period_s,
-        sine_direction=w.sine_direction,
-        sine_kind="force" if force else "acceleration",
     )
