@@ -238,3 +238,29 @@ def paper(
 
     wanted = (1, 2, 3, 4) if example is None else (int(example),)
     raise typer.Exit(run_paper(PaperPlan(directory=out, examples=wanted, seeds=seeds, json=json)))
+
+
+@app.command(
+    epilog=(
+        "Examples:\n\n"
+        "    kffa-offboard replay logs/2026-05-01_14-02-11.tlog\n\n"
+        "    kffa-offboard replay flight.tlog --config bolder.toml    (what would other gains have done?)\n\n"
+        "Exit status: 0 identical (or --config), 1 different, 2 wrong usage or not a log of ours."
+    )
+)
+def replay(
+    log: Annotated[Path, typer.Argument(metavar="FLIGHT.tlog", help="A log of `kffa-offboard run`.")],
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Fly this configuration instead of the recorded one and report what changes."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> None:
+    """Fly a recorded flight again and compare every command, byte for byte.
+
+    The log holds the configuration, so nothing else is needed. The first difference is told with its time,
+    field and both values.
+    """
+    from kffa_offboard.replay.command import ReplayPlan, run_replay
+
+    raise typer.Exit(run_replay(ReplayPlan(log=log, config=config, json=json)))

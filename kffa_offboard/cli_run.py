@@ -18,7 +18,8 @@ from rich.console import Console
 
 from kffa_offboard.cli_status import StatusDisplay
 from kffa_offboard.config import DaemonConfig
-from kffa_offboard.flightlog.tlog import TlogWriter
+from kffa_offboard.config_log import flight_header
+from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.link import open_link
 from kffa_offboard.mavlink.session import Session
@@ -50,14 +51,13 @@ def run(config: DaemonConfig, options: RunOptions) -> int:
         log = _log_path(config, options)
         ids = config.link
         route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
-        writer = (
-            TlogWriter(log, system_id=route.own_system, component_id=route.own_component) if log else None
-        )
+        writer = _log_writer(config, options, log, route) if log else None
         with writer or nullcontext(), StatusDisplay(console) as status, _stop_on_signals() as stop:
             console.print(f"waiting for a vehicle on {link.name}", soft_wrap=True, highlight=False)
             session = Session(Service(config.service), link, route, recorder=writer, observer=status)
             drive = run_lock_step if options.lockstep else run_real_time
             result = drive(session, clock, stop, connect_timeout_s=config.link.connect_timeout_s)
+            session.close(_reason(result))
     except KeyboardInterrupt:  # a second Ctrl-C: at once, but the log is closed
         return INTERRUPTED
     finally:
@@ -65,10 +65,20 @@ def run(config: DaemonConfig, options: RunOptions) -> int:
     return _report(console, result, log, options)
 
 
+def _log_writer(config: DaemonConfig, options: RunOptions, path: Path, route: Route) -> TlogWriter:
+    return TlogWriter(
+        path,
+        header=flight_header(config, options.lockstep),
+        system_id=route.own_system,
+        component_id=route.own_component,
+        part_size=config.log.part_size,
+    )
+
+
 def _log_path(config: DaemonConfig, options: RunOptions) -> Path | None:
-    if options.log is not None or config.log_directory is None:
+    if options.log is not None or config.log.directory is None:
         return options.log
-    return config.log_directory / time.strftime("%Y-%m-%d_%H-%M-%S.tlog")
+    return config.log.directory / time.strftime("%Y-%m-%d_%H-%M-%S.tlog")
 
 
 @contextmanager
@@ -90,11 +100,16 @@ def _stop_on_signals() -> Iterator[threading.Event]:
             signal.signal(number, handler)
 
 
+def _reason(result: RunResult) -> str:
+    finished = result.finished
+    return finished.reason if isinstance(finished, Finished) else "stopped before control was given back"
+
+
 def _report(console: Console, result: RunResult, log: Path | None, options: RunOptions) -> int:
     """Say how the run ended and return the exit status."""
     finished = result.finished
     assert finished is None or isinstance(finished, Finished)
-    reason = finished.reason if finished is not None else "stopped before control was given back"
+    reason = _reason(result)
     successful = finished is not None and finished.successful and result.refusal is None
     counters = result.counters
     console.print(

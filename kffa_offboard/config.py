@@ -65,6 +65,14 @@ class LinkSettings:
 
 
 @dataclass(frozen=True)
+class LogSettings:
+    """Where flight logs go (None for no log), and after how many bytes the next file begins (None: never)."""
+
+    directory: Path | None
+    part_size: int | None
+
+
+@dataclass(frozen=True)
 class DaemonConfig:
     """All that `kffa-offboard run` needs.
 
@@ -73,13 +81,17 @@ class DaemonConfig:
     path : the file
     link : where the vehicle is
     service : what the service flies with
-    log_directory : where flight logs go; None for no log
+    log : where flight logs go
+    document : the tables it was made from, with what `overrides` changed in them
+    overrides : what the command line said
     """
 
     path: Path
     link: LinkSettings
     service: ServiceSettings
-    log_directory: Path | None
+    log: LogSettings
+    document: dict[str, Any]
+    overrides: Overrides
 
 
 def bundled(name: str) -> Path:
@@ -120,12 +132,20 @@ def load(path: Path, overrides: Overrides | None = None) -> DaemonConfig:
     ):
         if value is not None and isinstance(document.setdefault(table, {}), dict):
             document[table][key] = value
+    return build(document, path, overrides)
+
+
+def build(document: dict[str, Any], path: Path, overrides: Overrides) -> DaemonConfig:
+    """Check the tables of a file; errors are named after `path`. Raises ConfigError as `load`."""
+    file = str(path)
     try:
         tables = ConfigFile.model_validate(document)
     except ValidationError as error:
         raise ConfigError(file, explain(error, ConfigFile)) from error
     try:
-        return DaemonConfig(path, _link(tables), _service(tables, overrides), _log_directory(tables))
+        return DaemonConfig(
+            path, _link(tables), _service(tables, overrides), _log(tables), document, overrides
+        )
     except ValueError as error:
         raise ConfigError(file, [str(error)]) from error
 
@@ -196,5 +216,9 @@ def _link(tables: ConfigFile) -> LinkSettings:
     )
 
 
-def _log_directory(tables: ConfigFile) -> Path | None:
-    return None if tables.log.directory is None else Path(tables.log.directory).expanduser()
+def _log(tables: ConfigFile) -> LogSettings:
+    directory, size = tables.log.directory, tables.log.file_size_max_mb
+    return LogSettings(
+        None if directory is None else Path(directory).expanduser(),
+        None if size is None else round(size * 1e6),
+    )

@@ -173,6 +173,8 @@ class LogTable(Table):
     """`[log]`: where flight logs go; left out, none is kept."""
 
     directory: str | None = None
+    file_size_max_mb: Annotated[float, Field(ge=1.0)] | None = None
+    """A longer flight goes on in FLIGHT-2.tlog, FLIGHT-3.tlog, ...; an hour at 100 Hz is about 200 MB."""
 
 
 # ----------------------------------------------------------------------------- scenario

@@ -1,7 +1,8 @@
 """One conversation with a vehicle: what arrives goes to the service, what it answers goes out.
 
 Nothing here waits; `shell.py` decides when. Everything is recorded in the order in which the service
-saw it, with the time that the service was told, so that the log replays to the same commands.
+saw it, with the time that the service was told, and whatever falls due is done at its own nominal
+time, not when somebody got round to it: so the log replays to the same commands, byte for byte.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from kffa_offboard.mavlink.transport import Datagram, Link
 from kffa_offboard.mavlink.vehicle import Vehicle
 from kffa_offboard.offboard.events import (
     AttitudeTarget,
+    EngageRequested,
     Event,
     HeartbeatReceived,
     Output,
@@ -55,6 +57,15 @@ class Recorder(Protocol):
 
     def write_signals(self, signals: Signals) -> None:
         """Record the controller's inner signals."""
+
+    def write_begin(self, time_us: int) -> None:
+        """Record that the run begins, and with what."""
+
+    def write_request(self, time_us: int, request: EngageRequested | ReleaseRequested) -> None:
+        """Record what the daemon's own process asked for."""
+
+    def write_end(self, time_us: int, reason: str, frames_dropped: int) -> None:
+        """Record that the run is over, and why."""
 
 
 @dataclass(slots=True)
@@ -101,6 +112,7 @@ class Session:
         self.connected = False
         self.refusal: str | None = None
         self.heard: set[tuple[int, int]] = set()
+        self._time_us: int | None = None
         self._component = Component(route)
         self._vehicle = Vehicle(route)
         self._parser = FrameParser(link.keeps_frames_whole)
@@ -119,7 +131,8 @@ class Session:
         return messages
 
     def handle(self, time_us: int, message: Message) -> None:
-        """Record one message and tell the service what it says."""
+        """Do what is due before `time_us`, then record one message and tell the service what it says."""
+        self.advance(time_us)
         self._record(time_us, bytes(message.get_msgbuf()))
         if self.route.from_target(message):
             self.counters.telemetry_received += 1
@@ -133,13 +146,35 @@ class Session:
             self._transmit(time_us, request)
 
     def tell(self, time_us: int, event: Event) -> None:
-        """Hand an event to the service and send what it answers."""
+        """Do what is due before `time_us`, then hand an event to the service and send what it answers."""
+        self.advance(time_us)
         self._observe(time_us, event)
         self._dispatch(time_us, self.service.handle(time_us, event))
 
     def advance(self, time_us: int) -> None:
-        """Let the service do what is due, and send it."""
-        self._dispatch(time_us, self.service.advance(time_us))
+        """Let the service do everything that is due up to `time_us`, each at its own time, and send it."""
+        if self._time_us is None:
+            if self._recorder is not None:
+                self._recorder.write_begin(time_us)
+            self._dispatch(time_us, self.service.advance(time_us))
+        self._time_us = time_us
+        while self.service.finished is None:
+            due_us = self.service.next_deadline()
+            if due_us is None or due_us > time_us:
+                return
+            self._dispatch(due_us, self.service.advance(due_us))
+
+    def request(self, time_us: int, request: EngageRequested | ReleaseRequested) -> None:
+        """Tell the service what the daemon's own process asks for, and record it."""
+        self.advance(time_us)
+        if self._recorder is not None:
+            self._recorder.write_request(time_us, request)
+        self.tell(time_us, request)
+
+    def close(self, reason: str) -> None:
+        """Record that the run is over."""
+        if self._recorder is not None and self._time_us is not None:
+            self._recorder.write_end(self._time_us, reason, self.counters.frames_dropped)
 
     def answer_timesync(self, time_us: int, request: Message, own_time_ns: int) -> None:
         """Answer a TIMESYNC request of the target; others are not ours to answer."""

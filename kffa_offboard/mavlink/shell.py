@@ -70,7 +70,7 @@ def run_real_time(
         now_us = clock()
         if stop.is_set() and let_go_by_us is None:
             let_go_by_us = now_us + round(RELEASE_LIMIT_S * 1e6) if session.connected else now_us
-            session.tell(now_us, ReleaseRequested("stop requested"))
+            session.request(now_us, ReleaseRequested("stop requested"))
             continue
         if let_go_by_us is not None and now_us >= let_go_by_us:
             break
@@ -92,8 +92,20 @@ def _time_to_sleep(session: Session, now_us: int) -> float:
 def _receive(session: Session, timeout_s: float) -> None:
     for datagram in session.link.receive(timeout_s):
         for message in session.read(datagram):
-            session.handle(datagram.time_us, message)
-            session.answer_timesync(datagram.time_us, message, datagram.time_us * 1000)
+            take_message(session, datagram.time_us, message)
+
+
+def take_message(session: Session, time_us: int, message: Message) -> None:
+    """What a message does in real time: it is handled, and a TIMESYNC request answered with our own time."""
+    session.handle(time_us, message)
+    session.answer_timesync(time_us, message, time_us * 1000)
+
+
+def pass_barrier(session: Session, time_us: int, request: Message) -> None:
+    """What a TIMESYNC request does in lock-step: everything due is done, then the vehicle may go on."""
+    session.handle(time_us, request)
+    # Not 0, which would make the answer look like another request.
+    session.answer_timesync(time_us, request, max(request.ts1, 1))
 
 
 def run_lock_step(
@@ -167,11 +179,8 @@ class _LockStep:
             session.handle(time_us, message)
         if self._stop.is_set() and self._let_go_by_us is None:
             self._let_go_by_us = time_us + round(RELEASE_LIMIT_S * 1e6)
-            session.tell(time_us, ReleaseRequested("stop requested"))
-        session.advance(time_us)
-        session.handle(time_us, request)
-        # Not 0, which would make the answer look like another request.
-        session.answer_timesync(time_us, request, max(request.ts1, 1))
+            session.request(time_us, ReleaseRequested("stop requested"))
+        pass_barrier(session, time_us, request)
         overdue = self._let_go_by_us is not None and time_us >= self._let_go_by_us
         self.ended = session.service.finished is not None or overdue
 

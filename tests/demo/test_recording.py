@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.demo.metrics import FlightFailed
 from kffa_offboard.demo.recording import read_recording
-from kffa_offboard.flightlog.tlog import TlogWriter
+from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.offboard.events import Signals
 
 ZERO = (0.0, 0.0, 0.0, 0.0)

@@ -22,16 +22,21 @@ from kffa_offboard.offboard.events import (
 )
 
 PERIOD_NS = 10_000_000
+HALF_PERIOD_US = 5_000
 SETPOINT = AttitudeTarget(0.5, body_rates=(0.0, 0.0, 0.0))
 
 
 class FakeService:
-    """Answers every attitude with a setpoint and every barrier with a heartbeat; finishes at `finish_us`."""
+    """A setpoint for every attitude, and a heartbeat due in the middle of each of its slots."""
 
-    def __init__(self, finish_us):
-        self.finish_us = finish_us
-        self.finished = None
+    def __init__(self, slots):
+        self.slots = slots
+        self.due_us = HALF_PERIOD_US
         self.calls = []
+
+    @property
+    def finished(self):
+        return "done" if self.due_us > self.slots * 2 * HALF_PERIOD_US else None
 
     def handle(self, time_us, event):
         self.calls.append((time_us, type(event)))
@@ -39,23 +44,31 @@ class FakeService:
 
     def advance(self, time_us):
         self.calls.append((time_us, "advance"))
-        if time_us >= self.finish_us:
-            self.finished = "done"
+        if time_us < self.due_us:
+            return []
+        self.due_us += 2 * HALF_PERIOD_US
         return [OwnHeartbeat("active")]
 
     def next_deadline(self):
-        raise AssertionError("lock-step time comes from the vehicle, not from deadlines")
+        return self.due_us
 
 
 class Recorder:
     def __init__(self):
         self.frames = []
+        self.requests = []
 
     def write(self, time_us, frame):
         self.frames.append((time_us, frame))
 
     def write_signals(self, signals):
         raise AssertionError("none were given")
+
+    def write_begin(self, time_us):
+        self.begun_us = time_us
+
+    def write_request(self, time_us, request):
+        self.requests.append((time_us, request))
 
 
 @pytest.fixture
@@ -104,18 +117,18 @@ def run(service, link, wall_clock, *, stop=None, **options):
     return run_lock_step(session, wall_clock, stop or threading.Event())
 
 
-def test_messages_are_handled_at_the_time_of_the_barrier_after_them_then_deadlines(
+def test_messages_are_handled_at_the_time_of_the_barrier_after_them_and_deadlines_before_at_their_own(
     autopilot, link, peer, wall_clock
 ):
     send(peer, link, *flight(autopilot, 2))
-    service = FakeService(finish_us=20_000)
+    service = FakeService(slots=2)
     run(service, link, wall_clock)
     assert service.calls == [
+        (10_000, "advance"),
         (10_000, HeartbeatReceived),
         (10_000, AttitudeReceived),
-        (10_000, "advance"),
+        (15_000, "advance"),
         (20_000, AttitudeReceived),
-        (20_000, "advance"),
     ]
 
 
@@ -123,9 +136,9 @@ def test_each_barrier_is_answered_exactly_once_and_after_the_commands(
     autopilot, link, peer, wall_clock, read
 ):
     send(peer, link, *flight(autopilot, 3))
-    result = run(FakeService(finish_us=30_000), link, wall_clock)
+    result = run(FakeService(slots=3), link, wall_clock)
     received = answers(peer, read)
-    assert [kind for kind, _ in received] == ["SET_ATTITUDE_TARGET", "HEARTBEAT", "TIMESYNC"] * 3
+    assert [kind for kind, _ in received] == ["HEARTBEAT", "SET_ATTITUDE_TARGET", "TIMESYNC"] * 3
     syncs = [message for kind, message in received if kind == "TIMESYNC"]
     assert [(m.ts1, m.tc1) for m in syncs] == [(n * PERIOD_NS, n * PERIOD_NS) for n in (1, 2, 3)]
     assert result.counters.commands_sent == 3
@@ -134,7 +147,7 @@ def test_each_barrier_is_answered_exactly_once_and_after_the_commands(
 
 def test_a_request_at_time_zero_gets_an_answer_that_is_not_a_request(autopilot, link, peer, wall_clock, read):
     send(peer, link, autopilot.pack(autopilot.heartbeat()), autopilot.pack(autopilot.timesync(0)))
-    run(FakeService(finish_us=0), link, wall_clock)
+    run(FakeService(slots=0), link, wall_clock)
     (answer,) = [message for kind, message in answers(peer, read) if kind == "TIMESYNC"]
     assert answer.ts1 == 0
     assert answer.tc1 != 0
@@ -144,19 +157,19 @@ def test_a_repeated_barrier_is_answered_again_without_moving_time(autopilot, lin
     again = autopilot.pack(autopilot.timesync(PERIOD_NS))
     send(peer, link, autopilot.pack(autopilot.heartbeat()), again, again)
     send(peer, link, autopilot.pack(autopilot.timesync(2 * PERIOD_NS)))
-    service = FakeService(finish_us=20_000)
+    service = FakeService(slots=2)
     run(service, link, wall_clock)
     assert [kind for kind, _ in answers(peer, read)].count("TIMESYNC") == 3
-    assert [time_us for time_us, call in service.calls if call == "advance"] == [10_000, 10_000, 20_000]
+    assert [time_us for time_us, call in service.calls if call == "advance"] == [10_000, 15_000]
 
 
 def test_another_systems_timesync_is_no_barrier(autopilot, scripted, link, peer, wall_clock, read):
     stranger = scripted(2, 1)
     send(peer, link, autopilot.pack(autopilot.heartbeat()), stranger.pack(stranger.timesync(PERIOD_NS)))
     send(peer, link, autopilot.pack(autopilot.timesync(2 * PERIOD_NS)))
-    service = FakeService(finish_us=20_000)
+    service = FakeService(slots=2)
     run(service, link, wall_clock)
-    assert [time_us for time_us, call in service.calls if call == "advance"] == [20_000]
+    assert [time_us for time_us, call in service.calls if call == "advance"] == [20_000, 15_000]
     assert [m.ts1 for kind, m in answers(peer, read) if kind == "TIMESYNC"] == [2 * PERIOD_NS]
 
 
@@ -169,7 +182,7 @@ def test_two_runs_send_and_record_the_same_bytes(scripted, wall_clock, read):
             socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as peer,
         ):
             send(peer, link, *flight(autopilot, 5))
-            run(FakeService(finish_us=50_000), link, wall_clock, recorder=recorder)
+            run(FakeService(slots=5), link, wall_clock, recorder=recorder)
             commands.append([bytes(message.get_msgbuf()) for _, message in answers(peer, read)])
         logs.append(recorder.frames)
     assert logs[0] == logs[1]
@@ -187,7 +200,7 @@ def test_how_messages_are_cut_into_datagrams_does_not_matter(scripted, wall_cloc
         ):
             datagrams = list(flight(autopilot, 3))
             send(peer, link, *([b"".join(datagrams)] if joined else datagrams))
-            service = FakeService(finish_us=30_000)
+            service = FakeService(slots=3)
             run(service, link, wall_clock)
             calls.append(service.calls)
     assert calls[0] == calls[1]
@@ -198,17 +211,17 @@ def test_the_log_is_in_simulated_time_and_in_the_order_of_the_service(
 ):
     recorder = Recorder()
     send(peer, link, *flight(autopilot, 2))
-    run(FakeService(finish_us=20_000), link, wall_clock, recorder=recorder)
+    run(FakeService(slots=2), link, wall_clock, recorder=recorder)
     assert [(time_us, read(frame)[0].get_type()) for time_us, frame in recorder.frames] == [
+        (10_000, "HEARTBEAT"),  # our own, due before the vehicle's first message
         (10_000, "HEARTBEAT"),
         (10_000, "ATTITUDE"),
         (10_000, "SET_ATTITUDE_TARGET"),
-        (10_000, "HEARTBEAT"),
         (10_000, "TIMESYNC"),
         (10_000, "TIMESYNC"),
+        (15_000, "HEARTBEAT"),
         (20_000, "ATTITUDE"),
         (20_000, "SET_ATTITUDE_TARGET"),
-        (20_000, "HEARTBEAT"),
         (20_000, "TIMESYNC"),
         (20_000, "TIMESYNC"),
     ]
@@ -221,10 +234,10 @@ def test_a_stop_request_is_told_at_the_next_barrier_and_runs_three_simulated_sec
     send(peer, link, autopilot.pack(autopilot.heartbeat()))
     for second in range(1, 8):
         send(peer, link, autopilot.pack(autopilot.timesync(second * 10**9)))
-    service = FakeService(finish_us=10**12)
+    service = FakeService(slots=10**6)
     result = run(service, link, wall_clock, stop=stop, observer=lambda time_us, item: stop.set())
     assert (1_000_000, ReleaseRequested) in service.calls
-    assert service.calls[-1] == (4_000_000, "advance")
+    assert service.calls[-1] == (3_995_000, "advance")
     assert result.stopped
     assert result.finished is None
 
@@ -232,13 +245,13 @@ def test_a_stop_request_is_told_at_the_next_barrier_and_runs_three_simulated_sec
 def test_a_stop_request_before_the_first_barrier_ends_at_once(link, wall_clock):
     stop = threading.Event()
     stop.set()
-    assert run(FakeService(0), link, wall_clock, stop=stop).stopped
+    assert run(FakeService(slots=0), link, wall_clock, stop=stop).stopped
 
 
 def test_a_calling_daemon_says_hello_without_disturbing_its_sequence(autopilot, peer, wall_clock, read):
     recorder = Recorder()
     with contextlib.closing(open_link(f"udpout:127.0.0.1:{peer.getsockname()[1]}", wall_clock)) as link:
-        session = Session(FakeService(finish_us=10_000), link, Route(), recorder=recorder)
+        session = Session(FakeService(slots=1), link, Route(), recorder=recorder)
         receive = link.receive
 
         def receive_after_hello(timeout_s):
@@ -283,17 +296,17 @@ class SilentLink:
 def test_a_vehicle_that_never_answers_is_explained():
     link = SilentLink([])
     with pytest.raises(UserError, match=r"no vehicle answered on udpin:.*:14540 for 10 s"):
-        run(FakeService(10**12), link, link.clock)
+        run(FakeService(slots=10**6), link, link.clock)
     assert link.now_us == pytest.approx(10_000_000, abs=2e5)
 
 
 def test_barriers_that_stop_coming_are_explained(autopilot):
     link = SilentLink([Datagram(0, data, "vehicle") for data in flight(autopilot, 2)])
     with pytest.raises(UserError, match=r"no TIMESYNC request .* for 5 s; is the simulated vehicle still"):
-        run(FakeService(10**12), link, link.clock)
+        run(FakeService(slots=10**6), link, link.clock)
 
 
 def test_time_that_goes_back_is_explained(autopilot, link, peer, wall_clock):
     send(peer, link, *flight(autopilot, 3), autopilot.pack(autopilot.timesync(PERIOD_NS)))
     with pytest.raises(UserError, match=r"went back from 0.030 s to 0.010 s.*restart the daemon"):
-        run(FakeService(10**12), link, wall_clock)
+        run(FakeService(slots=10**6), link, wall_clock)

@@ -105,12 +105,20 @@ class FakeService:
 class FakeRecorder:
     frames: list = field(default_factory=list)
     signals: list = field(default_factory=list)
+    requests: list = field(default_factory=list)
+    begun_us: int | None = None
 
     def write(self, time_us, frame):
         self.frames.append((time_us, frame))
 
     def write_signals(self, signals):
         self.signals.append(signals)
+
+    def write_begin(self, time_us):
+        self.begun_us = time_us
+
+    def write_request(self, time_us, request):
+        self.requests.append((time_us, request))
 
 
 def run(service, link, *, stop=None, **options):

@@ -19,7 +19,9 @@ import numpy as np
 import pytest
 
 from kffa_offboard.config import DaemonConfig, Overrides, bundled, load
+from kffa_offboard.config_log import flight_header
 from kffa_offboard.demo.metrics import Truth
+from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.session import Session
 from kffa_offboard.mavlink.shell import RunResult, run_lock_step
@@ -53,7 +55,7 @@ class LockStepLink:
             raise AssertionError(f"still flying after {LONGEST_FLIGHT_S:g} s")
         self._before_slot()
         self.vehicle.advance(self.vehicle.time_us + SLOT_US)
-        frames = [data for _, data in self.vehicle.outgoing()]
+        frames = [data for peer, data in self.vehicle.outgoing() if peer in (None, DAEMON)]
         frames.append(self.vehicle.time_request(DAEMON))
         return [Datagram(self.vehicle.time_us, frame, "vehicle") for frame in frames]
 
@@ -74,7 +76,8 @@ class LockStepLink:
 class LockStepFlight:
     """One flight: daemon, vehicle and what happened.
 
-    Change `daemon` or `vehicle` before `fly`; `before_slot` runs every 10 ms of simulated time.
+    Change `daemon` or `vehicle` before `fly`; `before_slot` runs every 10 ms of simulated time. `log` is
+    where to record it.
     """
 
     daemon: DaemonConfig
@@ -82,6 +85,7 @@ class LockStepFlight:
     before_slot: Callable[[], None] = lambda: None
     heard: list[tuple[int, Any]] = field(default_factory=list)
     stop: threading.Event = field(default_factory=threading.Event)
+    log: Path | None = None
     session: Session = field(init=False)
     link: LockStepLink = field(init=False)
 
@@ -97,10 +101,18 @@ class LockStepFlight:
         route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
         self.link = LockStepLink(self.vehicle, before_slot)
         service = Service(self.daemon.service)
-        self.session = Session(
-            service, self.link, route, observer=lambda time_us, item: self.heard.append((time_us, item))
-        )
-        return run_lock_step(self.session, lambda: self.vehicle.time_us, self.stop)
+        header = flight_header(self.daemon, lockstep=True)
+        with contextlib.nullcontext() if self.log is None else TlogWriter(self.log, header=header) as writer:
+            self.session = Session(
+                service,
+                self.link,
+                route,
+                recorder=writer,
+                observer=lambda time_us, item: self.heard.append((time_us, item)),
+            )
+            result = run_lock_step(self.session, lambda: self.vehicle.time_us, self.stop)
+            self.session.close("flown")
+        return result
 
     @property
     def signals(self) -> list[Signals]:

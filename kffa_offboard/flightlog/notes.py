@@ -1,0 +1,140 @@
+"""What a log must hold beside frames and signals, so that the flight can be repeated from it.
+
+Three kinds of note: the header (program, versions, configuration), requests from the daemon's own
+command line or process (they come in no MAVLink message), and the end. Each is a JSON object, cut
+into TUNNEL messages with a payload type of our own; ground stations pass over them. They are only ever
+in the file: none is sent.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any, Literal, TypeAlias
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.offboard.events import EngageRequested, ReleaseRequested
+
+PAYLOAD_TYPE = 52038
+"""TUNNEL.payload_type of a note; those from 32768 on are free for private use."""
+
+FORMAT = 1
+"""Number of the header's layout; a reader refuses a newer one."""
+
+_CHUNK = struct.Struct("<HH")  # index, count
+_PAYLOAD_SIZE = 128
+_TEXT_SIZE = _PAYLOAD_SIZE - _CHUNK.size
+
+NoteKind: TypeAlias = Literal["header", "request", "end"]
+Request: TypeAlias = EngageRequested | ReleaseRequested
+
+
+@dataclass(frozen=True)
+class Header:
+    """How a flight was set up.
+
+    Attributes
+    ----------
+    version : of kffa-offboard
+    configuration : tables of the TOML file, with what the command line changed
+    options : what the command line said beyond the file ("arm", "engage", "shadow")
+    lockstep : the simulator kept the time
+    libraries : versions of what takes part in the arithmetic
+    part : 1 for the first file of a flight, then 2, ...
+    """
+
+    version: str
+    configuration: dict[str, Any]
+    options: dict[str, bool]
+    lockstep: bool = False
+    libraries: dict[str, str] = field(default_factory=dict)
+    part: int = 1
+
+
+@dataclass(frozen=True)
+class End:
+    """How a flight ended: reason, and the frames that the link did not take."""
+
+    reason: str
+    frames_dropped: int = 0
+
+
+Note: TypeAlias = Header | Request | End
+
+
+def to_messages(note: Note) -> list[Any]:
+    """A note as TUNNEL messages, in order."""
+    text = json.dumps(_document(note), sort_keys=True, separators=(",", ":")).encode()
+    pieces = [text[start : start + _TEXT_SIZE] for start in range(0, len(text), _TEXT_SIZE)]
+    return [_chunk(index, len(pieces), piece) for index, piece in enumerate(pieces)]
+
+
+def is_note(message: Any) -> bool:
+    """True if `message` is a piece of a note."""
+    return bool(message.get_type() == "TUNNEL" and message.payload_type == PAYLOAD_TYPE)
+
+
+class NoteReader:
+    """Puts notes together again from their pieces."""
+
+    def __init__(self) -> None:
+        self._text = b""
+        self._next = 0
+
+    def take(self, message: Any) -> Note | None:
+        """The note that is complete with this piece; None while pieces are missing.
+
+        Raises ValueError for pieces out of order or a note of another kind or format.
+        """
+        payload = bytes(message.payload[: message.payload_length])
+        index, count = _CHUNK.unpack_from(payload)
+        if index != self._next:
+            raise ValueError(f"piece {index} of a note where piece {self._next} was expected")
+        self._text = (self._text if index else b"") + payload[_CHUNK.size :]
+        self._next = (index + 1) % count
+        if self._next:
+            return None
+        return _note(json.loads(self._text))
+
+
+def _chunk(index: int, count: int, text: bytes) -> Any:
+    payload = _CHUNK.pack(index, count) + text
+    padded = list(payload.ljust(_PAYLOAD_SIZE, b"\0"))
+    return mavlink.MAVLink_tunnel_message(0, 0, PAYLOAD_TYPE, len(payload), padded)
+
+
+def _document(note: Note) -> dict[str, Any]:
+    match note:
+        case Header():
+            return {"note": "header", "format": FORMAT, **vars(note)}
+        case End():
+            return {"note": "end", **vars(note)}
+        case EngageRequested():
+            return {"note": "request", "what": "engage"}
+        case ReleaseRequested(reason):
+            return {"note": "request", "what": "release", "reason": reason}
+
+
+def _note(document: dict[str, Any]) -> Note:
+    match document:
+        case {"note": "header", "format": int(number), **fields} if number <= FORMAT:
+            return Header(**fields)
+        case {"note": "end", **fields}:
+            return End(**fields)
+        case {"note": "request", "what": "engage"}:
+            return EngageRequested()
+        case {"note": "request", "what": "release", "reason": str(reason)}:
+            return ReleaseRequested(reason)
+    what = document.get("note", "nothing known")
+    raise ValueError(f"note {what!r} of format {document.get('format')}; this version reads format {FORMAT}")
+
+
+def notes(messages: Iterator[Any]) -> Iterator[Note]:
+    """All notes among messages. Raises ValueError as `NoteReader.take`."""
+    reader = NoteReader()
+    for message in messages:
+        if is_note(message) and (note := reader.take(message)) is not None:
+            yield note

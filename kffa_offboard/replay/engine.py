@@ -1,0 +1,95 @@
+"""The daemon's own session, fed from a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.config import DaemonConfig
+from kffa_offboard.flightlog.signals import to_message
+from kffa_offboard.mavlink.commands import is_timesync_request
+from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.session import Session
+from kffa_offboard.mavlink.shell import pass_barrier, take_message
+from kffa_offboard.mavlink.transport import Datagram
+from kffa_offboard.offboard.events import EngageRequested, ReleaseRequested, Signals
+from kffa_offboard.offboard.service import Service
+from kffa_offboard.replay.recording import Frame, Recording, is_request
+
+
+@dataclass
+class Replayed:
+    """What the session did: frames that it sent and frames of its inner signals, with their times [us]."""
+
+    sent: list[Frame] = field(default_factory=list)
+    signals: list[Frame] = field(default_factory=list)
+
+
+class _NoLink:
+    """A link to nowhere that takes everything."""
+
+    name = "replay"
+    keeps_frames_whole = True
+    trouble = ""
+
+    def receive(self, timeout_s: float) -> list[Datagram]:
+        return []
+
+    def send(self, data: bytes) -> bool:
+        return True
+
+    def lock(self, source: Hashable) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class _Collector:
+    """A recorder that keeps what the session itself produced."""
+
+    def __init__(self, route: Route) -> None:
+        self.replayed = Replayed()
+        self._own = (route.own_system, route.own_component)
+        self._packer = mavlink.MAVLink(None, srcSystem=route.own_system, srcComponent=route.own_component)
+
+    def write(self, time_us: int, frame: bytes) -> None:
+        if (frame[5], frame[6]) == self._own:
+            self.replayed.sent.append((time_us, frame))
+
+    def write_signals(self, signals: Signals) -> None:
+        frame = bytes(to_message(signals).pack(self._packer))
+        self._packer.seq = (self._packer.seq + 1) % 256
+        self.replayed.signals.append((signals.time_us, frame))
+
+    def write_begin(self, time_us: int) -> None:
+        pass
+
+    def write_request(self, time_us: int, request: EngageRequested | ReleaseRequested) -> None:
+        pass
+
+    def write_end(self, time_us: int, reason: str, frames_dropped: int) -> None:
+        pass
+
+
+def replay(recording: Recording, config: DaemonConfig) -> Replayed:
+    """Drive the service of `config` through everything that came in, at the times when it came."""
+    ids = config.link
+    route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
+    collector = _Collector(route)
+    session = Session(Service(config.service), _NoLink(), route, recorder=collector)
+    lockstep = recording.header.lockstep
+    session.advance(recording.begin_us)
+    for time_us, item in recording.incoming:
+        if is_request(item):
+            session.request(time_us, item)
+        elif lockstep and is_timesync_request(item) and route.from_target(item):
+            pass_barrier(session, time_us, item)
+        elif lockstep:
+            session.handle(time_us, item)
+        else:
+            take_message(session, time_us, item)
+    session.advance(recording.end_us)
+    return collector.replayed

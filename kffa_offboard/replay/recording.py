@@ -1,0 +1,151 @@
+"""A flight as it was recorded: header, what came in, what went out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.notes import End, Header, Note, NoteReader, Request, is_note
+from kffa_offboard.flightlog.signals import is_signals
+from kffa_offboard.flightlog.tlog import read_tlog
+from kffa_offboard.flightlog.writer import part_path
+
+Incoming: TypeAlias = tuple[int, Any]
+"""Time [us] and a received message, or a request of the daemon's own process."""
+
+Frame: TypeAlias = tuple[int, bytes]
+"""Time [us] and a frame."""
+
+_MARKER_V2 = 0xFD
+_NOTHING_OURS = (mavlink.MAVLINK_MSG_ID_TUNNEL, mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY)
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What a log holds.
+
+    Attributes
+    ----------
+    header, begin_us : how and when the run began
+    incoming : received messages and own requests, in order
+    sent, signals : frames that went out, and frames of the controller's inner signals, in order
+    end, end_us : how and when the run ended; None and the last record's time if the log breaks off
+    """
+
+    header: Header
+    begin_us: int
+    incoming: list[Incoming] = field(repr=False)
+    sent: list[Frame] = field(repr=False)
+    signals: list[Frame] = field(repr=False)
+    end: End | None
+    end_us: int
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a flight from its first file, and from the further ones (FLIGHT-2.tlog, ...) if there are any.
+
+    Raises UserError if the file cannot be read, is no telemetry log, or was not written by this program.
+    """
+    reader = _Reader(path)
+    for part in _parts(path):
+        log = read_tlog(part)
+        try:
+            for time_us, frame in log.frames():
+                reader.take(time_us, frame)
+        except ValueError as problem:
+            raise UserError(f"flight log {part}: {problem}; it cannot be replayed") from problem
+    return reader.recording()
+
+
+def _parts(path: Path) -> Iterator[Path]:
+    yield path
+    part = 2
+    while (following := part_path(path, part)).is_file():
+        yield following
+        part += 1
+
+
+class _Reader:
+    """Sorts the records of a log."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._parser = mavlink.MAVLink(None)
+        self._notes = NoteReader()
+        self._header: Header | None = None
+        self._own = (0, 0)
+        self._begin_us = 0
+        self._last_us = 0
+        self._end: End | None = None
+        self._incoming: list[Incoming] = []
+        self._sent: list[Frame] = []
+        self._signals: list[Frame] = []
+
+    def take(self, time_us: int, frame: bytes) -> None:
+        if self._header is not None and self._is_ours(frame) and not _may_be_ours_alone(frame):
+            self._sent.append((time_us, frame))
+            self._last_us = time_us
+            return
+        try:
+            message = self._parser.decode(bytearray(frame))
+        except mavlink.MAVError:
+            return  # the daemon did not understand it either
+        if is_note(message):
+            self._take_note(time_us, message)
+            return
+        if self._header is None:
+            raise UserError(
+                f"flight log {self._path}: does not begin with a kffa-offboard header; "
+                "only logs of `kffa-offboard run` can be replayed (try `kffa-offboard shadow`)"
+            )
+        self._last_us = time_us
+        if self._is_ours(frame):
+            (self._signals if is_signals(message) else self._sent).append((time_us, frame))
+        else:
+            self._incoming.append((time_us, message))
+
+    def _is_ours(self, frame: bytes) -> bool:
+        return frame[0] == _MARKER_V2 and (frame[5], frame[6]) == self._own
+
+    def _take_note(self, time_us: int, message: Any) -> None:
+        note: Note | None = self._notes.take(message)
+        match note:
+            case Header():
+                if self._header is None:
+                    self._header, self._begin_us, self._last_us = note, time_us, time_us
+                    self._own = (message.get_srcSystem(), message.get_srcComponent())
+            case End():
+                self._end, self._last_us = note, time_us
+            case None:
+                pass
+            case _:
+                self._incoming.append((time_us, note))
+                self._last_us = time_us
+
+    def recording(self) -> Recording:
+        if self._header is None:
+            raise UserError(f"flight log {self._path}: is empty; there is nothing to replay")
+        return Recording(
+            self._header,
+            self._begin_us,
+            self._incoming,
+            self._sent,
+            self._signals,
+            self._end,
+            self._last_us,
+        )
+
+
+def _may_be_ours_alone(frame: bytes) -> bool:
+    """True for the message types that notes and signals are made of; they have to be looked into."""
+    return int.from_bytes(frame[7:10], "little") in _NOTHING_OURS
+
+
+def is_request(item: Any) -> bool:
+    """True for a request of the daemon's own process among the incoming items."""
+    return isinstance(item, Request)

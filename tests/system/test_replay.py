@@ -1,0 +1,176 @@
+"""A recorded flight flown again from its log: the same commands, byte for byte."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from typer.testing import CliRunner
+
+from kffa_offboard.cli import app
+from kffa_offboard.config import bundled
+from kffa_offboard.config_log import config_of
+from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.tlog import TIMESTAMP, read_tlog
+from kffa_offboard.replay.compare import compare, what_if
+from kffa_offboard.replay.engine import replay
+from kffa_offboard.replay.recording import read_recording
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory):
+    return tmp_path_factory.mktemp("flights")
+
+
+@pytest.fixture
+def drop(lock_step_flight, directory):
+    """Log of a flight up to one second after the load was picked up, then stopped."""
+    log = directory / "drop.tlog"
+    if not log.exists():
+        flight = lock_step_flight()
+        flight.log = log
+        picked = "pick-up"
+        flight.fly(
+            lambda vehicle: (
+                (at := vehicle.truth.time_of(picked)) is not None and vehicle.time_us * 1e-6 > at + 1.0
+            )
+        )
+    return log
+
+
+def replayed(log):
+    recording = read_recording(log)
+    return recording, replay(recording, config_of(recording.header, log))
+
+
+def test_every_command_and_every_inner_signal_is_repeated_byte_for_byte(drop):
+    recording, again = replayed(drop)
+    kinds = {message.get_type() for _, message in read_tlog(drop) if message.get_srcSystem() == 245}
+    assert {"SET_ATTITUDE_TARGET", "COMMAND_LONG", "HEARTBEAT", "STATUSTEXT", "TIMESYNC"} <= kinds
+    comparison = compare(recording, again)
+    assert comparison.difference is None
+    assert comparison.frames == len(recording.sent) + len(recording.signals) > 3000
+    assert recording.end is not None
+    assert recording.end.reason == "flown"
+
+
+def test_the_request_to_stop_is_in_the_log(drop):
+    recording = read_recording(drop)
+    without = replace(
+        recording, incoming=[item for item in recording.incoming if hasattr(item[1], "get_type")]
+    )
+    assert len(without.incoming) == len(recording.incoming) - 1
+    difference = compare(recording, replay(without, config_of(recording.header, drop))).difference
+    assert difference is not None
+
+
+def changed(log, path, kind, edit):
+    """Copy of a log in which `edit` has changed the 500th message of a kind."""
+    parser, count = mavlink.MAVLink(None), 0
+    with path.open("wb") as file:
+        for time_us, frame in read_tlog(log).frames():
+            message = parser.decode(bytearray(frame))
+            count += message.get_type() == kind
+            if message.get_type() == kind and count == 500:
+                packer = mavlink.MAVLink(
+                    None, srcSystem=message.get_srcSystem(), srcComponent=message.get_srcComponent()
+                )
+                packer.seq = message.get_seq()
+                edit(message)
+                frame = bytes(message.pack(packer))
+            file.write(TIMESTAMP.pack(time_us) + frame)
+    return path
+
+
+def test_the_first_difference_is_told_with_time_field_and_both_values(drop, tmp_path):
+    def more_thrust(message):
+        message.thrust = 0.75
+
+    log = changed(drop, tmp_path / "changed.tlog", "SET_ATTITUDE_TARGET", more_thrust)
+    recording, again = replayed(log)
+    difference = compare(recording, again).difference
+    assert difference.field == "SET_ATTITUDE_TARGET.thrust"
+    assert difference.recorded == 0.75
+    assert 0.3 < difference.replayed < 0.6
+    result = CliRunner().invoke(app, ["replay", str(log)])
+    assert result.exit_code == 1
+    assert "SET_ATTITUDE_TARGET.thrust" in result.output
+    assert "recorded 0.75" in result.output
+
+
+def test_other_telemetry_gives_other_commands(drop, tmp_path):
+    def higher(message):
+        message.z -= 0.2
+
+    recording, again = replayed(changed(drop, tmp_path / "changed.tlog", "LOCAL_POSITION_NED", higher))
+    assert compare(recording, again).difference.field.startswith("SET_ATTITUDE_TARGET")
+
+
+def test_a_log_that_breaks_off_is_compared_as_far_as_it_goes(drop, tmp_path):
+    log = tmp_path / "cut.tlog"
+    log.write_bytes(drop.read_bytes()[: drop.stat().st_size // 2 + 5])
+    recording, again = replayed(log)
+    assert recording.end is None
+    comparison = compare(recording, again)
+    assert comparison.difference is None
+    assert comparison.frames > 1000
+    result = CliRunner().invoke(app, ["replay", str(log)])
+    assert result.exit_code == 0
+    assert "breaks off" in result.output
+
+
+def test_frames_that_the_link_did_not_take_are_told_apart_from_differences(lock_step_flight, tmp_path):
+    flight = lock_step_flight()
+    flight.log = tmp_path / "lossy.tlog"
+    send, count = None, 0
+
+    def lossy(data):
+        nonlocal count
+        count += 1
+        return count % 50 != 0 and send(data)
+
+    def before_slot():
+        nonlocal send
+        if send is None:
+            send, flight.link.send = flight.link.send, lossy
+
+    flight.before_slot = before_slot
+    flight.fly(lambda vehicle: vehicle.time_us > 6_000_000)
+    recording, again = replayed(flight.log)
+    comparison = compare(recording, again)
+    assert comparison.difference is None
+    assert comparison.dropped == recording.end.frames_dropped > 5
+
+
+def test_other_gains_tell_what_would_have_changed(drop, tmp_path):
+    gains = bundled("demo-px4.toml").read_text().replace("omega_c = 8.0", "omega_c = 4.0", 1)
+    config = tmp_path / "softer.toml"
+    config.write_text(gains)
+    result = CliRunner().invoke(app, ["replay", str(drop), "--config", str(config), "--json"])
+    assert result.exit_code == 0
+    changes = {(c["signal"], c["channel"]): c for c in json.loads(result.output)["changes"]}
+    assert changes["omega_c", "altitude"]["rms"] == pytest.approx(4.0, abs=0.5)
+    assert changes["omega_c", "roll"]["rms"] == 0.0
+    assert changes["command", "altitude"]["largest"] > 0.01
+    assert changes["estimate", "altitude"]["rms"] < 1e-3, "measurements were the same"
+
+
+def test_the_same_configuration_changes_nothing(drop):
+    recording, again = replayed(drop)
+    result = what_if(recording, again)
+    assert result.states == []
+    assert {change.largest for change in result.changes} == {0.0}
+
+
+def test_other_peoples_logs_are_refused_with_a_way_on(tmp_path):
+    log = tmp_path / "ground-station.tlog"
+    packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
+    log.write_bytes(
+        TIMESTAMP.pack(1) + bytes(mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0).pack(packer))
+    )
+    with pytest.raises(UserError, match=r"does not begin with a kffa-offboard header.*kffa-offboard shadow"):
+        read_recording(log)
+    Path(tmp_path / "empty.tlog").write_bytes(b"")
+    with pytest.raises(UserError, match="is empty"):
+        read_recording(tmp_path / "empty.tlog")
