@@ -15,13 +15,11 @@ import typer
 from rich.console import Console
 
 from sim_vehicle import config as configuration
+from sim_vehicle.backends.base import Backend
+from sim_vehicle.backends.choose import open_backend
 from sim_vehicle.config import SimConfig
-from sim_vehicle.endpoints import parse_endpoint
 from sim_vehicle.errors import SimulatorError
-from sim_vehicle.links import Links
-from sim_vehicle.server import run_lockstep, run_real_time
-from sim_vehicle.truth import TruthFile
-from sim_vehicle.vehicle import SimulatedVehicle
+from sim_vehicle.truth import TruthFile, TruthRecorder
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -62,6 +60,17 @@ def run(
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="Let simulated time wait for the controller.")
     ] = False,
+    backend: Annotated[
+        str | None,
+        typer.Option(
+            help="bundled (the simulator's own firmware) or ardupilot-json (an unmodified ArduCopter in "
+            "software-in-the-loop), instead of the file's."
+        ),
+    ] = None,
+    speedup: Annotated[
+        float | None,
+        typer.Option(help="With real firmware: simulated seconds per second; 0 for as fast as possible."),
+    ] = None,
     truth: Annotated[
         Path | None, typer.Option(help="Write true states and events to this CSV file, every 10 ms.")
     ] = None,
@@ -73,11 +82,19 @@ def run(
 
     In real time, any ground station or controller can connect. With --lockstep, simulated time
     advances only when the controller has answered: deterministic, and as fast as the machine allows.
+    With --backend ardupilot-json, it is the body that an ArduCopter of yours flies; connect to that one.
 
     Exit status: 0 after --duration, 2 for bad input, 130 after Ctrl-C.
     """
     try:
-        settings = _settings(config, link, personality, seed, lockstep)
+        overrides = _overrides(link, personality, seed, lockstep, backend, speedup)
+        settings = (
+            configuration.load(config, overrides) if config else configuration.build(overrides, "options")
+        )
+        if speedup is not None and settings.backend.kind == "bundled":
+            raise SimulatorError(
+                "--speedup: the bundled firmware flies in real time; use --lockstep for speed"
+            )
         if duration is not None and not duration > 0.0:
             raise SimulatorError(f"--duration {duration:g}: not above zero; give seconds of simulated time")
         _fly(settings, truth, duration)
@@ -89,50 +106,50 @@ def run(
         raise typer.Exit(EXIT_TERMINATED) from None
 
 
-def _settings(
-    config: Path | None,
+def _overrides(
     link: list[str] | None,
     personality: str | None,
     seed: int | None,
     lockstep: bool,
-) -> SimConfig:
-    """Configuration file and options put together."""
-    overrides: dict[str, dict[str, Any]] = {}
-    if link:
-        overrides.setdefault("link", {})["endpoints"] = link
-    if personality is not None:
-        overrides.setdefault("vehicle", {})["personality"] = personality
-    if seed is not None:
-        overrides.setdefault("vehicle", {})["seed"] = seed
-    if lockstep:
-        overrides["lockstep"] = {"enabled": True}
-    if config is None:
-        return configuration.build(overrides, "options")
-    return configuration.load(config, overrides)
+    backend: str | None,
+    speedup: float | None,
+) -> dict[str, dict[str, Any]]:
+    """Options as sections of the configuration."""
+    given: dict[str, dict[str, Any]] = {
+        "link": {"endpoints": link or None},
+        "vehicle": {"personality": personality, "seed": seed},
+        "lockstep": {"enabled": lockstep or None},
+        "backend": {"kind": backend, "real_time_factor": speedup},
+    }
+    chosen = {
+        section: {key: value for key, value in keys.items() if value is not None}
+        for section, keys in given.items()
+    }
+    return {section: keys for section, keys in chosen.items() if keys}
 
 
 def _fly(settings: SimConfig, truth: Path | None, duration: float | None) -> None:
-    vehicle = SimulatedVehicle(settings)
-    endpoints = [parse_endpoint(url, settings.link.allow_remote) for url in settings.link.endpoints]
-    with _terminate_as_exception(), _truth_file(truth, vehicle) as record, Links(endpoints) as links:
-        mode = "in lock-step" if settings.lockstep.enabled else "in real time"
-        print(
-            f"{settings.vehicle.personality} vehicle, system {settings.vehicle.system_id}, {mode}: "
-            f"{', '.join(links.addresses)}",
-            flush=True,
-        )
-        fly = run_lockstep if settings.lockstep.enabled else run_real_time
+    with (
+        _terminate_as_exception(),
+        open_backend(settings, _say) as backend,
+        _truth_file(truth, backend.plant.truth) as record,
+    ):
+        print(backend.announcement, flush=True)
         with _status_line() as show:
 
-            def progress(flying: SimulatedVehicle) -> None:
+            def progress() -> None:
                 record()
-                show(flying)
+                show(backend)
 
-            fly(vehicle, links, duration, progress)
+            backend.run(duration, progress)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
 
 
 @contextlib.contextmanager
-def _truth_file(path: Path | None, vehicle: SimulatedVehicle) -> Iterator[Callable[[], None]]:
+def _truth_file(path: Path | None, recorder: TruthRecorder) -> Iterator[Callable[[], None]]:
     """Yield what writes the truth so far; writes the rest at the end, however the flight ends."""
     if path is None:
         yield lambda: None
@@ -143,7 +160,7 @@ def _truth_file(path: Path | None, vehicle: SimulatedVehicle) -> Iterator[Callab
         reason = problem.strerror or str(problem)
         raise SimulatorError(f"--truth {path}: cannot be written: {reason}; choose another file") from problem
     with stream:
-        record = TruthFile(stream, vehicle.truth)
+        record = TruthFile(stream, recorder)
         try:
             yield record.flush
         finally:
@@ -151,22 +168,22 @@ def _truth_file(path: Path | None, vehicle: SimulatedVehicle) -> Iterator[Callab
 
 
 @contextlib.contextmanager
-def _status_line() -> Iterator[Callable[[SimulatedVehicle], None]]:
+def _status_line() -> Iterator[Callable[[Backend], None]]:
     """Yield what shows where the vehicle is; shows nothing if nobody watches."""
     console = Console(stderr=True)
     if not console.is_terminal:
-        yield lambda vehicle: None
+        yield lambda backend: None
         return
     began = time.monotonic()
     with console.status("starting", refresh_per_second=5.0) as status:
 
-        def show(vehicle: SimulatedVehicle) -> None:
-            x, y, z = vehicle.state.position.tolist()
-            speed = vehicle.time_us * 1e-6 / max(1e-3, time.monotonic() - began)
-            armed = "armed" if vehicle.firmware.armed else "disarmed"
+        def show(backend: Backend) -> None:
+            plant = backend.plant
+            x, y, z = plant.state.position.tolist()
+            speed = plant.time_us * 1e-6 / max(1e-3, time.monotonic() - began)
             status.update(
-                f"{vehicle.time_us * 1e-6:7.1f} s  x{speed:.1f}  {vehicle.firmware.mode_name} {armed}  "
-                f"height {z:.2f} m  x {x:.2f} y {y:.2f} m  load {float(vehicle.state.load_mass):.2f} kg"
+                f"{plant.time_us * 1e-6:7.1f} s  x{speed:.1f}  {backend.autopilot}  "
+                f"height {z:.2f} m  x {x:.2f} y {y:.2f} m  load {float(plant.state.load_mass):.2f} kg"
             )
 
         yield show

@@ -11,9 +11,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
 
 from sim_vehicle import payload
+from sim_vehicle.config_backend import BackendSection
+from sim_vehicle.config_base import NotNegative, Section
 from sim_vehicle.config_errors import describe
 from sim_vehicle.endpoints import parse_endpoint
 from sim_vehicle.errors import SimulatorError
@@ -22,20 +24,13 @@ from sim_vehicle.parameters import ParameterStore
 from sim_vehicle.proximity import Proximity
 
 Personality: TypeAlias = Literal["px4", "ardupilot"]
-NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
 Delay: TypeAlias = Annotated[float, Field(ge=0.0, le=2.0)]
 Vector3: TypeAlias = tuple[float, float, float]
 
 MICROSECOND = 1e-6
 
 
-class _Section(BaseModel):
-    """Common rules: no unknown keys, no conversions from text, no NaN, values do not change."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
-
-
-class VehicleSection(_Section):
+class VehicleSection(Section):
     """[vehicle]: what flies, and as which firmware it behaves."""
 
     personality: Personality = "px4"
@@ -58,7 +53,7 @@ class VehicleSection(_Section):
         return value
 
 
-class LinkSection(_Section):
+class LinkSection(Section):
     """[link]: where the vehicle is reached, and how late and unevenly."""
 
     endpoints: tuple[str, ...] = ("udpout:127.0.0.1:14540",)
@@ -80,7 +75,7 @@ class LinkSection(_Section):
         return self
 
 
-class SensorsSection(_Section):
+class SensorsSection(Section):
     """[sensors]: standard deviations of white noise on what the firmware estimates, flies by and sends."""
 
     attitude_noise_rad: NotNegative = 0.002
@@ -91,7 +86,7 @@ class SensorsSection(_Section):
     horizontal_velocity_noise_m_s: NotNegative = 0.02
 
 
-class WindSection(_Section):
+class WindSection(Section):
     """[wind]: steady wind, gusts and the paper's sine (Example 4)."""
 
     mean_m_s: Vector3 = (0.0, 0.0, 0.0)
@@ -112,7 +107,7 @@ class WindSection(_Section):
         return self
 
 
-class EnvironmentSection(_Section):
+class EnvironmentSection(Section):
     """[environment]: surfaces near the rotors (see `proximity`)."""
 
     ground_effect: bool = False
@@ -135,7 +130,7 @@ class EnvironmentSection(_Section):
         )
 
 
-class LoadChange(_Section):
+class LoadChange(Section):
     """One entry of payload.schedule: from `time_s` on the load is `mass_kg`."""
 
     time_s: NotNegative
@@ -148,7 +143,7 @@ class LoadChange(_Section):
         return value
 
 
-class PayloadSection(_Section):
+class PayloadSection(Section):
     """[payload]: what the gripper holds, where, and when it comes and goes by itself."""
 
     offset_m: Vector3 = payload.DEFAULT_OFFSET
@@ -169,7 +164,7 @@ class PayloadSection(_Section):
         return value
 
 
-class LockstepSection(_Section):
+class LockstepSection(Section):
     """[lockstep]: simulated time waits for the controller."""
 
     enabled: bool = False
@@ -178,7 +173,7 @@ class LockstepSection(_Section):
     connect_timeout_s: Annotated[float, Field(gt=0.0, le=600.0)] = 20.0
 
 
-class SimConfig(_Section):
+class SimConfig(Section):
     """Everything about one simulated vehicle."""
 
     vehicle: VehicleSection = VehicleSection()
@@ -188,6 +183,7 @@ class SimConfig(_Section):
     environment: EnvironmentSection = EnvironmentSection()
     payload: PayloadSection = PayloadSection()
     lockstep: LockstepSection = LockstepSection()
+    backend: BackendSection = BackendSection()
     parameters: dict[str, float | int] = Field(default_factory=dict)
     """Firmware parameters by their own names, changed before power-up."""
 
@@ -199,8 +195,31 @@ class SimConfig(_Section):
                 f"lockstep.period_s = {self.lockstep.period_s:g}: not a multiple of vehicle.physics_dt_s = "
                 f"{self.vehicle.physics_dt_s:g}; choose for instance {4 * self.vehicle.physics_dt_s:g}"
             )
+        self._check_backend()
         self.make_parameters()
         return self
+
+    def _check_backend(self) -> None:
+        """Raise ValueError, for people, if real firmware is to fly what only the bundled one can."""
+        kind = self.backend.kind
+        if kind == "bundled":
+            return
+        if self.vehicle.profile == "paper":
+            raise ValueError(
+                f"vehicle.profile = 'paper': backend.kind = '{kind}' needs motors with limits; "
+                "choose 'airframe'"
+            )
+        if self.lockstep.enabled:
+            raise ValueError(
+                f"lockstep.enabled = true: with backend.kind = '{kind}' controllers connect to the firmware, "
+                "which is in lock-step with the physics anyway; leave it out"
+            )
+        if kind == "ardupilot-json":
+            section = self.backend.ardupilot_json
+            try:
+                parse_endpoint(f"udpin:{section.host}:{section.port}", self.link.allow_remote)
+            except ValueError as problem:
+                raise ValueError(f"backend.ardupilot_json.host = {problem}") from problem
 
     def make_parameters(self) -> ParameterStore:
         """A fresh parameter store of this personality with the overrides applied.

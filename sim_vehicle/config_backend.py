@@ -1,0 +1,74 @@
+"""[backend]: which autopilot flies the plant, and how it is connected."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self, TypeAlias
+
+from pydantic import Field, model_validator
+
+from sim_vehicle.config_base import NotNegative, Section
+
+BackendKind: TypeAlias = Literal["bundled", "ardupilot-json"]
+Channel: TypeAlias = Annotated[int, Field(ge=1, le=32)]
+PulseWidth: TypeAlias = Annotated[int, Field(ge=500, le=2500)]
+
+SMALLEST_TRAVEL_US = 100
+"""Servo end points nearer than this could not be told apart [us]."""
+
+
+class ArdupilotJsonSection(Section):
+    """[backend.ardupilot_json]: the port that ArduPilot's JSON simulator interface calls, and its outputs."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 9002
+    pace: Literal["physics", "firmware"] = "physics"
+    """Who keeps to the clock: the physics (`backend.real_time_factor`) or the firmware (its `--speedup`)."""
+    motor_channels: tuple[Channel, Channel, Channel, Channel] = (3, 2, 4, 1)
+    """Servo outputs of the front, left, rear and right motor; the default is ArduCopter's plus quadrotor."""
+    motor_pwm_min_us: PulseWidth = 1000
+    motor_pwm_max_us: PulseWidth = 2000
+    gripper_channel: Annotated[int, Field(ge=0, le=32)] = 9
+    """Servo output of the gripper; 0 for none."""
+    gripper_grab_us: PulseWidth = 1900
+    gripper_release_us: PulseWidth = 1100
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len(set(self.motor_channels)) < len(self.motor_channels):
+            raise ValueError(
+                f"motor_channels = {list(self.motor_channels)}: a channel is given twice; "
+                "name four outputs: front, left, rear, right"
+            )
+        if self.gripper_channel in self.motor_channels:
+            raise ValueError(
+                f"gripper_channel = {self.gripper_channel}: that output drives a motor; "
+                "choose another, or 0 for no gripper"
+            )
+        if self.motor_pwm_max_us - self.motor_pwm_min_us < SMALLEST_TRAVEL_US:
+            raise ValueError(
+                f"motor_pwm_max_us = {self.motor_pwm_max_us}: not {SMALLEST_TRAVEL_US} us above "
+                f"motor_pwm_min_us = {self.motor_pwm_min_us}; give the firmware's MOT_PWM_MIN and MOT_PWM_MAX"
+            )
+        if abs(self.gripper_grab_us - self.gripper_release_us) < SMALLEST_TRAVEL_US:
+            raise ValueError(
+                f"gripper_grab_us = {self.gripper_grab_us}: within {SMALLEST_TRAVEL_US} us of "
+                f"gripper_release_us = {self.gripper_release_us}; give the firmware's GRIP_GRAB and "
+                "GRIP_RELEASE"
+            )
+        return self
+
+
+class BackendSection(Section):
+    """[backend]: the bundled firmware, or real firmware over its own simulator interface."""
+
+    kind: BackendKind = "bundled"
+    real_time_factor: Annotated[float, Field(ge=0.0, le=100.0)] = 1.0
+    """Simulated seconds per second; 0 for as fast as possible."""
+    accel_noise_m_s2: NotNegative = 0.05
+    gyro_noise_rad_s: NotNegative = 0.002
+    """White noise on each sample of the inertial sensors (standard deviation)."""
+    stall_warning_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 5.0
+    """Silence of the firmware after which a line on stderr says so; again after twice that time, ..."""
+    stall_timeout_s: NotNegative = 0.0
+    """Silence after which the simulator gives up with status 2; 0 to wait for ever."""
+    ardupilot_json: ArdupilotJsonSection = ArdupilotJsonSection()
