@@ -91,10 +91,7 @@ def run(
         settings = (
             configuration.load(config, overrides) if config else configuration.build(overrides, "options")
         )
-        if speedup is not None and settings.backend.kind == "bundled":
-            raise SimulatorError(
-                "--speedup: the bundled firmware flies in real time; use --lockstep for speed"
-            )
+        _check_options(settings, link, personality, speedup)
         if duration is not None and not duration > 0.0:
             raise SimulatorError(f"--duration {duration:g}: not above zero; give seconds of simulated time")
         _fly(settings, truth, duration)
@@ -126,6 +123,24 @@ def _overrides(
         for section, keys in given.items()
     }
     return {section: keys for section, keys in chosen.items() if keys}
+
+
+def _check_options(
+    settings: SimConfig, link: list[str] | None, personality: str | None, speedup: float | None
+) -> None:
+    """Raise SimulatorError for an option that the chosen backend would not heed."""
+    kind = settings.backend.kind
+    if kind == "bundled":
+        if speedup is not None:
+            raise SimulatorError(
+                "--speedup: the bundled firmware flies in real time; use --lockstep for speed"
+            )
+        return
+    for option, value in (("--link", link), ("--personality", personality)):
+        if value:
+            raise SimulatorError(
+                f"{option}: the {kind} backend is only the vehicle's body; MAVLink is the firmware's own"
+            )
 
 
 def _fly(settings: SimConfig, truth: Path | None, duration: float | None) -> None:

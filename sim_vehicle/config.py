@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal, Self, TypeAlias
 from pydantic import Field, ValidationError, field_validator, model_validator
 
 from sim_vehicle import payload
-from sim_vehicle.config_backend import BackendSection
+from sim_vehicle.config_backend import PHYSICS_STEP_S, BackendSection
 from sim_vehicle.config_base import NotNegative, Section
 from sim_vehicle.config_errors import describe
 from sim_vehicle.endpoints import parse_endpoint
@@ -198,6 +198,19 @@ class SimConfig(Section):
         self._check_backend()
         self.make_parameters()
         return self
+
+    @model_validator(mode="before")
+    @classmethod
+    def _step_for_backend(cls, values: Any) -> Any:
+        """Real firmware has its own wish for the physics step, if the file has none."""
+        try:
+            step = PHYSICS_STEP_S.get(values["backend"]["kind"])
+            given = "physics_dt_s" in values.get("vehicle", {})
+        except (KeyError, TypeError, AttributeError):  # not there, or not tables: the checks below say so
+            return values
+        if step is None or given:
+            return values
+        return {**values, "vehicle": {**values.get("vehicle", {}), "physics_dt_s": step}}
 
     def _check_backend(self) -> None:
         """Raise ValueError, for people, if real firmware is to fly what only the bundled one can."""

@@ -16,6 +16,10 @@ SMALLEST_TRAVEL_US = 100
 """Servo end points nearer than this could not be told apart [us]."""
 
 
+PHYSICS_STEP_S: dict[str, float] = {"ardupilot-json": 0.00125}
+"""Default of vehicle.physics_dt_s by backend.kind, where the firmware wants another step."""
+
+
 class ArdupilotJsonSection(Section):
     """[backend.ardupilot_json]: the port that ArduPilot's JSON simulator interface calls, and its outputs."""
 

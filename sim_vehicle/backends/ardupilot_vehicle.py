@@ -34,6 +34,10 @@ LONGEST_FRAME_S = 0.09
 """Longest step taken at once; the firmware refuses 0.1 s and more."""
 
 
+LEAST_RATE_HZ = 720.0
+"""Gyro samples that ArduCopter wants before it arms: 1.8 times its loop rate (AP_InertialSensor.cpp)."""
+
+
 class Answer(NamedTuple):
     """A datagram for the firmware, and the simulated time at which it is due [us]."""
 
@@ -135,7 +139,7 @@ class ArdupilotVehicle:
                 "set its SERVO_32_ENABLE to 1 or choose other channels"
             )
         if self._answer is None:
-            self.notices.append(f"{NAME}: firmware at {_shown(peer)}, {packet.frame_rate} frames per second")
+            self._greet(peer)
         elif peer != self._peer or packet.frame_count < self._frame_count:
             self._restart(peer)
         elif packet.frame_count == self._frame_count:
@@ -145,6 +149,15 @@ class ArdupilotVehicle:
         self._answer = Answer(peer, self._fly(packet), self.plant.time_us)
         self.counters.frames += 1
         return self._answer
+
+    def _greet(self, peer: Hashable) -> None:
+        rate = 1.0 / self.plant.dt
+        self.notices.append(f"{NAME}: firmware at {_shown(peer)}, physics at {rate:g} Hz")
+        if rate < LEAST_RATE_HZ:
+            self.notices.append(
+                f"{NAME}: ArduCopter with its loop at 400 Hz arms from {LEAST_RATE_HZ:g} Hz on; "
+                "set vehicle.physics_dt_s = 0.00125"
+            )
 
     def _restart(self, peer: Hashable) -> None:
         self.counters.restarts += 1

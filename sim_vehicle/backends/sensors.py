@@ -5,6 +5,7 @@ Pure functions on one vehicle (no batch); noise comes from a generator handed in
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,13 +13,10 @@ import numpy as np
 from sim_vehicle.airframe import AirframeState
 from sim_vehicle.frames import (
     Array,
-    array_of,
     body_to_frd,
     quaternion_from_euler,
-    quaternion_rows_from_euler,
     quaternion_to_ned,
     rotation_rows_from_quaternion,
-    rows_of,
     vector_to_ned,
 )
 
@@ -61,24 +59,25 @@ def imu(before: AirframeState, after: AirframeState, dt: float, gravity: float) 
     so thrust, drag, gusts and the ground's push are all in it, averaged over the step; it is turned into
     body axes by the attitude in the middle of the step. Body rates are those at its end.
     """
-    vx, vy, vz = ((new - old) / dt for new, old in zip(after.velocity, before.velocity, strict=True))
+    ax, ay, az = ((after.velocity - before.velocity) / dt).tolist()
+    az += gravity
     r00, r01, r02, r10, r11, r12, r20, r21, r22 = rotation_rows_from_quaternion(_middle(before, after))
-    vz = vz + gravity
     force = (
-        r00 * vx + r10 * vy + r20 * vz,
-        r01 * vx + r11 * vy + r21 * vz,
-        r02 * vx + r12 * vy + r22 * vz,
+        r00 * ax + r10 * ay + r20 * az,
+        r01 * ax + r11 * ay + r21 * az,
+        r02 * ax + r12 * ay + r22 * az,
     )
     return ImuSample(body_to_frd(np.array(force)), body_to_frd(after.body_rates))
 
 
 def _middle(before: AirframeState, after: AirframeState) -> list[float]:
     """Unit quaternion half way between two near attitudes, w first."""
-    old = array_of(quaternion_rows_from_euler(rows_of(before.euler)))
-    new = array_of(quaternion_rows_from_euler(rows_of(after.euler)))
-    total = old + new if float(old @ new) >= 0.0 else old - new
-    rows: list[float] = (total / float(total @ total) ** 0.5).tolist()
-    return rows
+    old: list[float] = quaternion_from_euler(before.euler).tolist()
+    new: list[float] = quaternion_from_euler(after.euler).tolist()
+    sign = math.copysign(1.0, sum(a * b for a, b in zip(old, new, strict=True)))
+    total = [a + sign * b for a, b in zip(old, new, strict=True)]
+    size = math.hypot(*total)
+    return [part / size for part in total]
 
 
 def with_noise(sample: ImuSample, noise: ImuNoise, generator: np.random.Generator) -> ImuSample:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from sim_vehicle.airframe import AirframeParameters
 from sim_vehicle.config import SimConfig, build, load
 from sim_vehicle.errors import SimulatorError
 
@@ -40,6 +41,31 @@ def test_the_files_that_ship_spell_out_the_defaults(personality):
         assert getattr(config, section) == getattr(default, section)
 
 
+def test_the_vehicle_for_ardupilot_spells_out_the_defaults_of_its_backend():
+    config = load(CONFIGS / "ardupilot-json-vehicle.toml")
+    assert config == build({"backend": {"kind": "ardupilot-json"}}, "test")
+
+
+def test_parameters_for_ardupilot_agree_with_the_vehicle():
+    lines = (CONFIGS / "ardupilot-json.parm").read_text().splitlines()
+    pairs = [line.split() for line in lines if line and not line.startswith("#")]
+    values = {name: float(value) for name, value in pairs}
+    assert len(values) == len(pairs)
+    config = load(CONFIGS / "ardupilot-json-vehicle.toml")
+    outputs = config.backend.ardupilot_json
+    assert values["SIM_RATE_HZ"] == 1.0 / config.vehicle.physics_dt_s
+    assert (values["MOT_PWM_MIN"], values["MOT_PWM_MAX"]) == (
+        outputs.motor_pwm_min_us,
+        outputs.motor_pwm_max_us,
+    )
+    assert values[f"SERVO{outputs.gripper_channel}_FUNCTION"] == 28
+    assert (values["GRIP_GRAB"], values["GRIP_RELEASE"]) == (
+        outputs.gripper_grab_us,
+        outputs.gripper_release_us,
+    )
+    assert values["MOT_THST_HOVER"] == pytest.approx(AirframeParameters().hover_thrust(), abs=1e-3)
+
+
 def test_options_go_over_the_file():
     config = load(CONFIGS / "sim-px4.toml", {"vehicle": {"seed": 7}, "lockstep": {"enabled": True}})
     assert config.vehicle.seed == 7
@@ -50,6 +76,36 @@ def test_options_go_over_the_file():
 @pytest.mark.parametrize(
     ("text", "error"),
     [
+        (
+            "[backend.ardupilot_json]\nmotor_channels = [1, 2, 2, 4]",
+            "backend.ardupilot_json.motor_channels = [1, 2, 2, 4]: a channel is given twice; "
+            "name four outputs: front, left, rear, right",
+        ),
+        (
+            "[backend.ardupilot_json]\ngripper_channel = 2",
+            "backend.ardupilot_json.gripper_channel = 2: that output drives a motor; "
+            "choose another, or 0 for no gripper",
+        ),
+        (
+            "[backend.ardupilot_json]\nmotor_pwm_min_us = 1950",
+            "backend.ardupilot_json.motor_pwm_max_us = 2000: not 100 us above motor_pwm_min_us = 1950; "
+            "give the firmware's MOT_PWM_MIN and MOT_PWM_MAX",
+        ),
+        (
+            "[backend.ardupilot_json]\ngripper_grab_us = 1150",
+            "backend.ardupilot_json.gripper_grab_us = 1150: within 100 us of gripper_release_us = 1100; "
+            "give the firmware's GRIP_GRAB and GRIP_RELEASE",
+        ),
+        (
+            '[backend]\nkind = "ardupilot-json"\n[backend.ardupilot_json]\nhost = "0.0.0.0"',
+            "backend.ardupilot_json.host = 'udpin:0.0.0.0:9002': 0.0.0.0 is not this machine; "
+            "use 127.0.0.1 or set link.allow_remote = true",
+        ),
+        (
+            '[backend]\nkind = "ardupilot-json"\n[vehicle]\nprofile = "paper"',
+            "vehicle.profile = 'paper': backend.kind = 'ardupilot-json' needs motors with limits; "
+            "choose 'airframe'",
+        ),
         (
             "[link]\ntelemetry_delay_ms = 20",
             "link.telemetry_delay_ms = 20: unknown key; did you mean telemetry_delay_s (in seconds)?",
