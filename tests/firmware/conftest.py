@@ -1,0 +1,158 @@
+"""Real firmware in software-in-the-loop: in a directory of its own, on loopback, ended by its own pid.
+
+Nothing here is built or downloaded: KFFA_ARDUCOPTER names an `arducopter` binary built for SITL. Without it
+these tests are skipped.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from sim_vehicle.backends.ardupilot_vehicle import ArdupilotVehicle
+from sim_vehicle.config import load
+
+CONFIGS = Path(__file__).parents[2] / "configs"
+SILENCE_S = 20.0
+GUIDED = 4
+POSITION_GOOD = mavlink.EKF_VELOCITY_HORIZ | mavlink.EKF_POS_HORIZ_ABS | mavlink.EKF_PRED_POS_HORIZ_ABS
+
+
+def loopback() -> socket.socket:
+    """A UDP socket on a free port."""
+    port = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    port.bind(("127.0.0.1", 0))
+    return port
+
+
+class ArduCopter:
+    """ArduCopter and its physics in one thread: simulated time goes on only inside `run`.
+
+    `heard` has the last message of each type; `texts` all STATUSTEXTs.
+    """
+
+    def __init__(self, binary: Path, directory: Path, sections: dict[str, dict[str, Any]]) -> None:
+        self.vehicle = ArdupilotVehicle(load(CONFIGS / "ardupilot-json-vehicle.toml", sections))
+        self.heard: dict[str, Any] = {}
+        self.texts: list[str] = []
+        self._binary, self._directory = binary, directory
+        self._physics, self._station = loopback(), loopback()
+        self._physics.settimeout(SILENCE_S)
+        self._station.setblocking(False)
+        self._codec = mavlink.MAVLink(file=None, srcSystem=255, srcComponent=190)
+        self._codec.robust_parsing = True
+        self._address: Any = None
+        self._process: subprocess.Popen[bytes] | None = None
+
+    @property
+    def time_s(self) -> float:
+        return self.vehicle.plant.time_us * 1e-6
+
+    def start(self) -> None:
+        """Power up; a vehicle with default parameters the first time."""
+        with loopback() as other:
+            rc_port = other.getsockname()[1]
+        command = [
+            *(str(self._binary), "--model", "JSON:127.0.0.1"),
+            *("--sim-port-out", str(self._physics.getsockname()[1]), "--rc-in-port", str(rc_port)),
+            *("--defaults", str(CONFIGS / "ardupilot-json.parm")),
+            *("--serial0", f"udpclient:127.0.0.1:{self._station.getsockname()[1]}"),
+            *("--serial1", "none:0", "--serial2", "none:0"),
+        ]
+        with (self._directory / "arducopter.log").open("ab") as log:
+            self._process = subprocess.Popen(
+                command, cwd=self._directory, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT
+            )
+
+    def stop(self) -> None:
+        """Power down at once."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+    def close(self) -> None:
+        self.stop()
+        self._physics.close()
+        self._station.close()
+
+    def run(self, limit_s: float, until: Callable[[], object] = lambda: False) -> bool:
+        """Let simulated time pass until `until` holds; False if it does not within `limit_s`."""
+        end = self.time_s + limit_s
+        while not until():
+            if self.time_s >= end:
+                return False
+            for _ in range(8):  # 10 ms
+                data, peer = self._physics.recvfrom(1024)
+                answer = self.vehicle.receive([(peer, data)])
+                if answer is not None:
+                    self._physics.sendto(answer.data, peer)
+            self._listen()
+        return True
+
+    def _listen(self) -> None:
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                data, self._address = self._station.recvfrom(4096)
+                for message in self._codec.parse_buffer(data) or []:
+                    self.heard[message.get_type()] = message
+                    if message.get_type() == "STATUSTEXT":
+                        self.texts.append(message.text)
+
+    def ask(self, number: int, *parameters: float) -> int | None:
+        """Result of a COMMAND_LONG, None if none comes within 3 s of simulated time."""
+        values = [*parameters, *[0.0] * (7 - len(parameters))]
+        message = mavlink.MAVLink_command_long_message(1, 1, number, 0, *values)
+        self.heard.pop("COMMAND_ACK", None)
+        self._station.sendto(message.pack(self._codec), self._address)
+        if not self.run(3.0, lambda: "COMMAND_ACK" in self.heard):
+            return None
+        acknowledgement = self.heard["COMMAND_ACK"]
+        assert acknowledgement.command == number
+        return int(acknowledgement.result)
+
+    def take_off(self, height_m: float) -> None:
+        """Wait for a position, arm in GUIDED, take off and settle."""
+        assert self.run(30.0, lambda: "HEARTBEAT" in self.heard), "no HEARTBEAT"
+        self.ask(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT, 200_000)
+        assert self.run(90.0, self._has_position), self.texts
+        assert self.ask(mavlink.MAV_CMD_DO_SET_MODE, 1, GUIDED) == mavlink.MAV_RESULT_ACCEPTED
+        for _ in range(10):
+            if self.ask(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == mavlink.MAV_RESULT_ACCEPTED:
+                break
+            self.run(2.0)
+        else:
+            raise AssertionError(self.texts)
+        assert self.ask(mavlink.MAV_CMD_NAV_TAKEOFF, *[0] * 6, height_m) == mavlink.MAV_RESULT_ACCEPTED
+        self.run(25.0)
+
+    def _has_position(self) -> bool:
+        report = self.heard.get("EKF_STATUS_REPORT")
+        return report is not None and report.flags & POSITION_GOOD == POSITION_GOOD
+
+
+@pytest.fixture(scope="module")
+def arducopter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., ArduCopter]]:
+    """Makes ArduCopters, not yet started; keyword arguments are sections of the vehicle's configuration."""
+    named = os.environ.get("KFFA_ARDUCOPTER", "")
+    if not named:
+        pytest.skip("KFFA_ARDUCOPTER does not name an arducopter binary built for SITL")
+    binary = Path(named).absolute()
+    if not os.access(binary, os.X_OK):
+        pytest.fail(f"KFFA_ARDUCOPTER = {named}: no executable file there")
+    with contextlib.ExitStack() as stack:
+
+        def make(**sections: dict[str, Any]) -> ArduCopter:
+            copter = ArduCopter(binary, tmp_path_factory.mktemp("arducopter"), sections)
+            stack.callback(copter.close)
+            return copter
+
+        yield make
