@@ -136,6 +136,12 @@ def _check_options(
                 "--speedup: the bundled firmware flies in real time; use --lockstep for speed"
             )
         return
+    if (
+        speedup is not None
+        and kind == "ardupilot-json"
+        and settings.backend.ardupilot_json.pace == "firmware"
+    ):
+        raise SimulatorError("--speedup: the file lets the firmware pace; give its own --speedup instead")
     for option, value in (("--link", link), ("--personality", personality)):
         if value:
             raise SimulatorError(

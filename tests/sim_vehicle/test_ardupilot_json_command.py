@@ -104,6 +104,16 @@ def test_a_port_in_use_is_one_line(firmware, tmp_path):
     assert result.stderr.startswith(f"error: link udpin:127.0.0.1:{port}: port {port} is in use; ")
 
 
+def test_a_speed_is_not_for_physics_that_follow_the_firmwares(tmp_path):
+    config = tmp_path / "vehicle.toml"
+    config.write_text('[backend]\nkind = "ardupilot-json"\n[backend.ardupilot_json]\npace = "firmware"\n')
+    result = CliRunner().invoke(app, ["run", "--config", os.fspath(config), "--speedup", "2"])
+    assert result.exit_code == 2
+    assert (
+        result.stderr == "error: --speedup: the file lets the firmware pace; give its own --speedup instead\n"
+    )
+
+
 @pytest.mark.parametrize(
     ("options", "error"),
     [
