@@ -340,8 +340,9 @@ def test_a_restart_neither_grabs_nor_drops():
     firmware = flying()
     firmware.run(0.1, {9: 1900})
     successor = FakeFirmware(firmware.vehicle, "again")
-    successor.run(1.0, {9: 1500})
+    successor.run(1.0, {9: 1100})
     assert firmware.vehicle.plant.state.load_mass == 5.0
+    successor.run(0.1, {9: 1500})
     successor.run(0.1, {9: 1100})
     assert firmware.vehicle.plant.state.load_mass == 0.0
 
