@@ -63,8 +63,8 @@ def run(
     backend: Annotated[
         str | None,
         typer.Option(
-            help="bundled (the simulator's own firmware) or ardupilot-json (an unmodified ArduCopter in "
-            "software-in-the-loop), instead of the file's."
+            help="bundled (the simulator's own firmware), ardupilot-json or px4-hil (an unmodified "
+            "ArduCopter or PX4 in software-in-the-loop), instead of the file's."
         ),
     ] = None,
     speedup: Annotated[
@@ -82,7 +82,8 @@ def run(
 
     In real time, any ground station or controller can connect. With --lockstep, simulated time
     advances only when the controller has answered: deterministic, and as fast as the machine allows.
-    With --backend ardupilot-json, it is the body that an ArduCopter of yours flies; connect to that one.
+    With --backend ardupilot-json or px4-hil, it is the body that an ArduCopter or PX4 of yours flies;
+    connect to that one.
 
     Exit status: 0 after --duration, 2 for bad input, 130 after Ctrl-C.
     """

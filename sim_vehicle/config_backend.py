@@ -8,8 +8,9 @@ from pydantic import Field, model_validator
 
 from sim_vehicle.config_base import NotNegative, Section
 
-BackendKind: TypeAlias = Literal["bundled", "ardupilot-json"]
+BackendKind: TypeAlias = Literal["bundled", "ardupilot-json", "px4-hil"]
 Channel: TypeAlias = Annotated[int, Field(ge=1, le=32)]
+Output: TypeAlias = Annotated[int, Field(ge=1, le=16)]
 PulseWidth: TypeAlias = Annotated[int, Field(ge=500, le=2500)]
 
 SMALLEST_TRAVEL_US = 100
@@ -62,6 +63,34 @@ class ArdupilotJsonSection(Section):
         return self
 
 
+class Px4HilSection(Section):
+    """[backend.px4_hil]: the port that PX4's simulator_mavlink calls, and its outputs."""
+
+    host: str = "127.0.0.1"
+    port: Annotated[int, Field(ge=0, le=65535)] = 4560
+    """4560 + N for px4 -i N."""
+    outputs_timeout_s: Annotated[float, Field(gt=0.0, le=60.0)] = 1.0
+    """Wall time without motor outputs after which simulated time goes on slowly with the last ones."""
+    motor_outputs: tuple[Output, Output, Output, Output] = (1, 2, 3, 4)
+    """Outputs (PWM_MAIN_FUNCn) of the front, left, rear and right motor."""
+    gripper_output: Annotated[int, Field(ge=0, le=16)] = 5
+    """Output of the gripper, the one with PWM_MAIN_FUNCn 430; 0 for none."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        if len(set(self.motor_outputs)) < len(self.motor_outputs):
+            raise ValueError(
+                f"motor_outputs = {list(self.motor_outputs)}: an output is given twice; "
+                "name four: front, left, rear, right"
+            )
+        if self.gripper_output in self.motor_outputs:
+            raise ValueError(
+                f"gripper_output = {self.gripper_output}: that output drives a motor; "
+                "choose another, or 0 for no gripper"
+            )
+        return self
+
+
 class BackendSection(Section):
     """[backend]: the bundled firmware, or real firmware over its own simulator interface."""
 
@@ -76,3 +105,4 @@ class BackendSection(Section):
     stall_timeout_s: NotNegative = 0.0
     """Silence after which the simulator gives up with status 2; 0 to wait for ever."""
     ardupilot_json: ArdupilotJsonSection = ArdupilotJsonSection()
+    px4_hil: Px4HilSection = Px4HilSection()

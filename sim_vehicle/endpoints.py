@@ -40,7 +40,7 @@ def parse_endpoint(url: str, allow_remote: bool) -> Endpoint:
         raise ValueError(f"{url!r}: unknown kind {scheme!r}; {hint}")
     if not host or not port_text.isdigit() or not 0 <= int(port_text) <= 65535:
         raise ValueError(f"{url!r}: not of the form {scheme}:HOST:PORT with a port of 0 to 65535")
-    if not allow_remote and not _is_loopback(host):
+    if not allow_remote and not is_loopback(host):
         raise ValueError(
             f"{url!r}: {host} is not this machine; use 127.0.0.1 or set link.allow_remote = true"
         )
@@ -51,7 +51,8 @@ def _scheme(text: str) -> Scheme:
     return next(scheme for scheme in get_args(Scheme) if scheme == text)
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Does a host name or address mean this machine?"""
     if host == "localhost":
         return True
     try:

@@ -44,11 +44,9 @@ class Plant:
         )
         self.state = airframe.initial_state()
         self.truth = TruthRecorder()
-        self._config = config
         self._payload = config.payload
-        self._changes = _schedule(config)
+        self._changes = deque((change.time_s, change.mass_kg) for change in config.payload.schedule)
         self._airborne_at_us: int | None = None
-        self._powered_at_us = 0
         self._wind = _wind(config)
         self._wind_generator = wind_generator
         self._gust = np.zeros(3)
@@ -75,14 +73,6 @@ class Plant:
         """Close the gripper round the configured load, or open it."""
         self.set_load(self._payload.gripper_mass_kg if action == "grab" else 0.0)
 
-    def put_back(self) -> None:
-        """Stand at the origin again without load, as at power-up, while time and truth go on."""
-        self.state = airframe.initial_state()
-        self._changes = _schedule(self._config)
-        self._airborne_at_us = None
-        self._powered_at_us = self.time_us
-        self._gust = np.zeros(3)
-
     def record(self, armed: bool, mode_name: str) -> None:
         """Append the present state to the truth."""
         self.truth.record(
@@ -99,13 +89,9 @@ class Plant:
             self._airborne_at_us = self.time_us
         if not self._changes:
             return
-        start = self._powered_at_us if self._payload.clock == "boot" else self._airborne_at_us
+        start = 0 if self._payload.clock == "boot" else self._airborne_at_us
         while start is not None and self._changes and self.time_us - start >= self._changes[0][0] * 1e6:
             self.set_load(self._changes.popleft()[1])
-
-
-def _schedule(config: SimConfig) -> deque[tuple[float, float]]:
-    return deque((change.time_s, change.mass_kg) for change in config.payload.schedule)
 
 
 def _proximity(config: SimConfig) -> Proximity | None:

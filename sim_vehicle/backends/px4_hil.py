@@ -3,7 +3,7 @@
 Source: PX4 src/modules/simulation/simulator_mavlink/SimulatorMavlink.cpp. HIL_SENSOR number 0 sets PX4's
 clock; PX4 in lock-step answers each with one HIL_ACTUATOR_CONTROLS of the same time_usec. Its outputs 1 to 4
 are the motors front, left, rear, right (configs/px4-hil/px4-rc.params), 0..1; one more is the gripper, -1
-open, 1 closed. `px4_link` owns the socket and the clock.
+open, 1 closed. `px4_backend` owns the clock and `px4_port` the socket.
 """
 
 from __future__ import annotations
@@ -42,9 +42,8 @@ INERTIAL, MAGNETIC, AIR = 0x3F, 0x1C0, 0x1A00
 GRIPPER_THRESHOLD = 0.5
 """The gripper's output beyond which it counts as closed, or below minus which as open."""
 
-IMU_NOISE = sensors.ImuNoise(specific_force=0.05, body_rate=0.003)
-FLIGHT_MODE = "px4"
-"""What the truth says for the mode, which PX4 does not tell its simulator."""
+MODE_NAME = "external"
+"""The truth's column "mode": PX4 does not say over this interface."""
 
 
 def physics_step_us(wanted_us: int) -> int:
@@ -55,7 +54,7 @@ def physics_step_us(wanted_us: int) -> int:
     return SENSOR_PERIOD_US // parts
 
 
-class Px4Hil:
+class Px4Vehicle:
     """The plant as PX4's simulator sees it: frames out and in, and one sensor period of physics at a time.
 
     Attributes
@@ -68,15 +67,18 @@ class Px4Hil:
     bad_bytes : how much came in this session that was no MAVLink frame
     """
 
-    def __init__(self, config: SimConfig, gripper_output: int = 5) -> None:
+    def __init__(self, config: SimConfig) -> None:
         step_s = physics_step_us(round(config.vehicle.physics_dt_s * 1e6)) * 1e-6
         vehicle = config.vehicle.model_copy(update={"physics_dt_s": step_s})
-        seeds = np.random.SeedSequence(config.vehicle.seed).spawn(2)
-        self._generator, wind = (np.random.default_rng(seed) for seed in seeds)
-        self.plant = Plant(config.model_copy(update={"vehicle": vehicle}), wind)
+        wind, noise = np.random.SeedSequence(config.vehicle.seed).spawn(2)
+        self.plant = Plant(config.model_copy(update={"vehicle": vehicle}), np.random.default_rng(wind))
+        self._generator = np.random.default_rng(noise)
         self.place = px4_sensors.Place()
         self._noise = px4_sensors.Px4SensorNoise()
-        self._gripper_output = gripper_output
+        backend = config.backend
+        self._imu_noise = sensors.ImuNoise(backend.accel_noise_m_s2, backend.gyro_noise_rad_s)
+        self._motors = [output - 1 for output in backend.px4_hil.motor_outputs]
+        self._gripper = backend.px4_hil.gripper_output - 1
         self._new_session()
         self._record()
 
@@ -99,8 +101,7 @@ class Px4Hil:
         return self.plant.time_us
 
     def restart(self) -> None:
-        """PX4 has started anew: the vehicle stands at its origin again without load, its time goes on."""
-        self.plant.put_back()
+        """PX4 has started anew: the vehicle stays where it is, motors off, and its time goes on."""
         self._new_session()
         self.plant.truth.event(self.time_us, "firmware restarted")
 
@@ -117,7 +118,7 @@ class Px4Hil:
         return self._frames()
 
     def _record(self) -> None:
-        self.plant.record(self.armed, FLIGHT_MODE)
+        self.plant.record(self.armed, MODE_NAME)
 
     # -------------------------------------------------------------------------------- from PX4
 
@@ -139,9 +140,9 @@ class Px4Hil:
         if armed != self.armed:
             self.armed = armed
             self.plant.truth.event(self.time_us, "armed" if armed else "disarmed")
-        self._commands = np.array(outputs[:4]) if armed else np.zeros(4)
-        if armed:
-            self._work_gripper(outputs[self._gripper_output - 1])
+        self._commands = np.array([outputs[index] for index in self._motors]) if armed else np.zeros(4)
+        if armed and self._gripper >= 0:
+            self._work_gripper(outputs[self._gripper])
 
     def _work_gripper(self, output: float) -> None:
         """Follow changes of the gripper's output; where it stands at first changes nothing."""
@@ -176,7 +177,7 @@ class Px4Hil:
         return frame
 
     def _hil_sensor(self, now: int, state: airframe.AirframeState, true: sensors.ImuSample) -> Any:
-        sample = sensors.with_noise(true, IMU_NOISE, self._generator)
+        sample = sensors.with_noise(true, self._imu_noise, self._generator)
         field, air, updated = [0.0, 0.0, 0.0], px4_sensors.Air(0.0, 0.0, 0.0), INERTIAL
         if now % SLOW_PERIOD_US == 0:
             updated |= MAGNETIC | AIR

@@ -13,7 +13,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_vehicle import airframe
-from sim_vehicle.backends.px4_hil import Px4Hil, physics_step_us
+from sim_vehicle.backends.px4_hil import Px4Vehicle, physics_step_us
 from sim_vehicle.config import build
 from sim_vehicle.frames import body_to_frd
 
@@ -40,12 +40,12 @@ class ScriptedPx4:
         return bytes(message.pack(self.codec))
 
 
-def hil(**sections: dict[str, Any]) -> Px4Hil:
-    return Px4Hil(build(sections, "test"))
+def hil(**sections: dict[str, Any]) -> Px4Vehicle:
+    return Px4Vehicle(build(sections, "test"))
 
 
 def fly(
-    simulator: Px4Hil, px4: ScriptedPx4, seconds: float, motors: list[float], gripper: float = 0.0
+    simulator: Px4Vehicle, px4: ScriptedPx4, seconds: float, motors: list[float], gripper: float = 0.0
 ) -> list[Any]:
     """Lock-step with constant outputs; all messages the simulator sent."""
     received = []
@@ -84,7 +84,7 @@ def test_at_rest_the_sensors_feel_gravity_the_earths_field_and_the_air_of_the_pl
     assert np.mean([m.pressure_alt for m in slow]) == pytest.approx(488.0, abs=0.3)
 
 
-def test_no_sensor_ever_repeats_itself_so_px4_never_takes_it_for_dead() -> None:
+def test_no_sensor_stands_still_so_px4_never_takes_it_for_dead() -> None:
     sent = of(fly(hil(), ScriptedPx4(), 2.0, [0.0] * 4), "HIL_SENSOR")
     slow = [m for m in sent if m.fields_updated & 0x1A00]
     for values in (
@@ -93,7 +93,7 @@ def test_no_sensor_ever_repeats_itself_so_px4_never_takes_it_for_dead() -> None:
         [m.xmag for m in slow],
         [m.abs_pressure for m in slow],
     ):
-        assert all(now != then for then, now in pairwise(values))
+        assert sum(now == then for then, now in pairwise(values)) <= 2  # a float's last digit
 
 
 def test_satellite_fixes_come_at_ten_hertz_and_are_a_tenth_of_a_second_late() -> None:
@@ -103,8 +103,10 @@ def test_satellite_fixes_come_at_ten_hertz_and_are_a_tenth_of_a_second_late() ->
     fixes = of(fly(simulator, ScriptedPx4(), 2.0, [HOVER] * 4), "HIL_GPS")
     assert [m.time_usec for m in fixes] == [200_000 + 100_000 * k for k in range(19)]
     metres = np.array([math.radians(m.lat * 1e-7 - 47.397742) * 6_371_000.0 for m in fixes])
-    late = metres - north * (np.array([m.time_usec for m in fixes]) * 1e-6 - 0.1)
-    assert abs(late.mean()) < 0.1
+    rows = simulator.plant.truth.rows
+    then = [m.time_usec * 1e-6 - 0.1 for m in fixes]
+    true = np.interp(then, [row.time_s for row in rows], [row.state[0] for row in rows])
+    assert np.mean(metres - true) == pytest.approx(0.0, abs=0.08)  # 0.02 s would be 0.2 m
     # Drag has taken 1.5 % of the speed, on the mean.
     assert np.mean([m.vn for m in fixes]) == pytest.approx(985, abs=5)
     assert np.mean([m.ve for m in fixes]) == pytest.approx(394, abs=5)  # the paper's y is west
@@ -115,7 +117,9 @@ def test_satellite_fixes_come_at_ten_hertz_and_are_a_tenth_of_a_second_late() ->
 def test_the_true_state_goes_along_in_px4s_axes() -> None:
     simulator = hil()
     euler = [0.1, -0.2, 0.7]  # roll, pitch, yaw of the paper: pitch and yaw change sign
-    simulator.plant.state = airframe.initial_state(np.array([0.0, 0.0, 20.0, 0.0, 0.0, 1.0, *euler, *[0.0] * 3]))
+    simulator.plant.state = airframe.initial_state(
+        np.array([0.0, 0.0, 20.0, 0.0, 0.0, 1.0, *euler, *[0.0] * 3])
+    )
     first = of(fly(simulator, ScriptedPx4(), 0.008, [0.0] * 4), "HIL_STATE_QUATERNION")[0]
     w, x, y, z = first.attitude_quaternion
     assert math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z)) == pytest.approx(-0.7, abs=1e-3)
@@ -149,7 +153,7 @@ def test_physics_runs_at_a_whole_fraction_of_the_sensor_period() -> None:
 
 
 def test_px4s_rotor_parameters_describe_this_airframe() -> None:
-    """Thrust and torque of each rotor as PX4 computes them (ActuatorEffectivenessRotors.cpp) are the plant's."""
+    """Thrust and torque as PX4 computes them (ActuatorEffectivenessRotors.cpp) are the plant's."""
     lines = PARAMETERS.read_text(encoding="utf-8").splitlines()
     values = dict(re.findall(r"^param set-default (\w+) (\S+)$", "\n".join(lines), re.MULTILINE))
     body = airframe.AirframeParameters()
@@ -217,7 +221,10 @@ def test_the_gripper_follows_changes_of_its_output_only() -> None:
 
 
 def test_a_scheduled_load_survives_arming_with_an_open_gripper_and_is_dropped_by_the_firmware() -> None:
-    simulator, px4 = hil(payload={"clock": "boot", "schedule": [{"time_s": 0.0, "mass_kg": 3.0}]}), ScriptedPx4()
+    simulator, px4 = (
+        hil(payload={"clock": "boot", "schedule": [{"time_s": 0.0, "mass_kg": 3.0}]}),
+        ScriptedPx4(),
+    )
     fly(simulator, px4, 0.1, [HOVER] * 4, 1.0)
     assert float(np.asarray(simulator.plant.state.load_mass)) == 3.0
     fly(simulator, px4, 0.1, [HOVER] * 4, -1.0)
@@ -264,20 +271,19 @@ def test_a_frame_in_pieces_is_put_together() -> None:
     assert simulator.answered and simulator.bad_bytes == 0
 
 
-def test_a_restarted_firmware_finds_the_vehicle_at_its_start_and_time_goes_on() -> None:
-    schedule = {"schedule": [{"time_s": 0.5, "mass_kg": 2.0}]}
-    simulator, px4 = hil(payload=schedule), ScriptedPx4()
+def test_a_restarted_firmware_finds_the_vehicle_where_it_was_and_time_goes_on() -> None:
+    simulator, px4 = hil(), ScriptedPx4()
     fly(simulator, px4, 2.0, [0.6] * 4)
-    assert simulator.plant.state.position[2] > 1.0
+    height = simulator.plant.state.position[2]
+    assert height > 1.0
     simulator.receive(px4.outputs(simulator.time_us, [0.6] * 4)[:30])  # cut off in the middle of a frame
     before = simulator.time_us
     simulator.restart()
-    assert simulator.plant.state.position.tolist() == [0.0, 0.0, 0.0]
-    assert float(np.asarray(simulator.plant.state.load_mass)) == 0.0
+    assert simulator.plant.state.position[2] == height
     assert not simulator.armed and simulator.lock_step is None
     sent = of(fly(simulator, ScriptedPx4(), 2.0, [0.6] * 4), "HIL_SENSOR")
     assert sent[0].time_usec == before + 4000
     texts = [event.text for event in simulator.plant.truth.events]
-    assert texts == ["armed", "pick-up 2 kg", "firmware restarted", "armed", "pick-up 2 kg"]
+    assert texts == ["armed", "firmware restarted", "armed"]
     times = [row.time_s for row in simulator.plant.truth.rows]
     assert times == sorted(set(times))
