@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
 from sim_vehicle.backends.base import Progress, Say
@@ -26,8 +27,12 @@ NAME = "px4-hil"
 PROGRESS_S = 0.2
 WAIT_S = 0.2
 
-FALLBACK_FACTOR = 0.1
-"""Simulated seconds per second while outputs stay away: a PX4 that was only stopped finds itself near."""
+FALLBACK_FACTOR = 0.02
+"""Simulated seconds per second while outputs stay away, five sensor frames.
+
+Enough for PX4 to act on a setpoint or a mode command within seconds; and few enough for a PX4 that was only
+stopped (a debugger): it takes the frames that have piled up without flying in between.
+"""
 
 CONNECT_REMEDY = "start PX4 with PX4_SYS_AUTOSTART=10016 PX4_SIM_HOST_ADDR=127.0.0.1, -i N for port 4560 + N"
 OUTPUT_REMEDY = "is PX4 stopped, or in OFFBOARD without setpoints?"
@@ -76,6 +81,16 @@ class Rhythm:
         return None
 
 
+@dataclass
+class _Session:
+    """One life of PX4, from its connection to its end; `told` are the lines said once in it."""
+
+    rhythm: Rhythm
+    watch: StallWatch
+    pacer: Pacer
+    told: set[str] = field(default_factory=set)
+
+
 class Px4HilBackend:
     """PX4 in software-in-the-loop flies the plant."""
 
@@ -86,6 +101,8 @@ class Px4HilBackend:
         self._clock = clock
         self._vehicle = Px4Vehicle(config)
         self._next_progress = 0.0
+        self._session: _Session | None = None
+        self._sessions = 0
 
     @property
     def plant(self) -> Plant:
@@ -105,47 +122,52 @@ class Px4HilBackend:
         return "armed" if self._vehicle.armed else "disarmed"
 
     def run(self, duration_s: float | None, progress: Progress) -> None:
-        """Fly whatever PX4 connects, and the next one when it has gone; see `Backend.run`."""
+        """Fly whatever PX4 connects, and the next one when it has gone; see `Backend.run`.
+
+        Called again, it goes on with the PX4 that is there.
+        """
         end_us = None if duration_s is None else round(duration_s * 1e6)
-        first = True
         while end_us is None or self._vehicle.time_us < end_us:
-            self._await_connection(progress)
-            if not first:
-                self._vehicle.restart()
-            self._tell("PX4 connected" if first else "PX4 is back, the vehicle is where it was")
-            first = False
-            self._fly(end_us, progress)
+            session = self._session or self._open(progress)
+            self._session = session
+            while self._port.connected and (end_us is None or self._vehicle.time_us < end_us):
+                self._frame(session)
+                self._show(progress)
             if not self._port.connected:
+                self._session = None
                 self._tell("PX4 closed its link; waiting for it to come back")
 
     # ----------------------------------------------------------------------------- one session
 
-    def _await_connection(self, progress: Progress) -> None:
+    def _open(self, progress: Progress) -> _Session:
+        """Wait for PX4 to connect."""
         watch = self._watch("connection", CONNECT_REMEDY)
         while not self._port.accept(WAIT_S):
             self._check(watch)
             self._show(progress)
-
-    def _fly(self, end_us: int | None, progress: Progress) -> None:
-        """From PX4's connection to its end, or to the end of the flight."""
-        vehicle, port = self._vehicle, self._port
+        if self._sessions:
+            self._vehicle.restart()
+        self._tell("PX4 is back, the vehicle is where it was" if self._sessions else "PX4 connected")
+        self._sessions += 1
         rhythm = Rhythm(self._backend.px4_hil.outputs_timeout_s)
         watch = self._watch("motor output", OUTPUT_REMEDY)
-        pacer = rhythm.pacer(self._backend.real_time_factor)
-        told: set[str] = set()
-        while port.connected and (end_us is None or vehicle.time_us < end_us):
-            self._send(vehicle.advance(), watch)
-            now = self._clock()
-            due = now + pacer.wait(vehicle.time_us + SENSOR_PERIOD_US, now)
-            heard = self._await_outputs(rhythm, due, watch)
-            if port.connected:
-                change = rhythm.after_frame(heard, vehicle.answered, vehicle.lock_step)
-                if change is not None:
-                    self._tell(change)
-                    pacer = rhythm.pacer(self._backend.real_time_factor)
-                self._rest(due)
-            self._tell_once(told)
-            self._show(progress)
+        return _Session(rhythm, watch, rhythm.pacer(self._backend.real_time_factor))
+
+    def _frame(self, session: _Session) -> None:
+        """One sensor period."""
+        vehicle, rhythm = self._vehicle, session.rhythm
+        self._send(vehicle.advance(), session.watch)
+        now = self._clock()
+        due = now + session.pacer.wait(vehicle.time_us + SENSOR_PERIOD_US, now)
+        heard = self._await_outputs(rhythm, due, session.watch)
+        if not self._port.connected:
+            return
+        change = rhythm.after_frame(heard, vehicle.answered, vehicle.lock_step)
+        if change is not None:
+            self._tell(change)
+            session.pacer = rhythm.pacer(self._backend.real_time_factor)
+        self._tell_once(session.told)
+        self._rest(due)
 
     def _send(self, frames: bytes, watch: StallWatch) -> None:
         """Send, and say so while PX4 does not read."""
