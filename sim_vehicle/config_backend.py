@@ -17,7 +17,7 @@ SMALLEST_TRAVEL_US = 100
 """Servo end points nearer than this could not be told apart [us]."""
 
 
-PHYSICS_STEP_S: dict[str, float] = {"ardupilot-json": 0.00125}
+PHYSICS_STEP_S: dict[str, float] = {"ardupilot-json": 0.00125, "px4-hil": 0.002}
 """Default of vehicle.physics_dt_s by backend.kind, where the firmware wants another step."""
 
 
