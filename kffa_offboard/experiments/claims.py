@@ -8,6 +8,7 @@ from itertools import pairwise
 from typing import Any, Literal
 
 from kffa_offboard.control.controllers import CHANNELS
+from kffa_offboard.experiments.examples import Example
 
 Verdict = Literal["holds", "holds with another reading", "does not hold"]
 HOLDS: Verdict = "holds"
@@ -29,7 +30,7 @@ BANDS = ("settling_2_percent_s", "settling_01_percent_s")
 class Claim:
     """One claim: what is claimed (by the paper, or found here), what was measured, and the verdict."""
 
-    example: int
+    example: Example
     claim: str
     measured: str
     verdict: Verdict

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import signal
 import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +20,12 @@ from kffa_offboard import __version__
 from kffa_offboard.errors import UserError
 from kffa_offboard.experiments import evaluate, examples
 from kffa_offboard.experiments.claims import FAILS, HOLDS, OTHER, Claim, judge
-from kffa_offboard.experiments.examples import Traces
+from kffa_offboard.experiments.examples import POSITION, Example, Traces
 from kffa_offboard.experiments.golden import jsonable
-from kffa_offboard.experiments.series import write_series
+from kffa_offboard.experiments.position_flights import CONTROLLERS, PositionTraces, fly_position
+from kffa_offboard.experiments.position_flights import steps_of as position_steps
+from kffa_offboard.experiments.position_results import evaluate_position, judge_position
+from kffa_offboard.experiments.series import write_position_series, write_series
 from kffa_offboard.experiments.settings import PaperSettings, load
 
 INTERRUPTED = 130
@@ -31,23 +37,29 @@ class PaperPlan:
     """What the command line asks for; see `kffa-offboard paper --help`."""
 
     directory: Path
-    examples: tuple[int, ...] = examples.EXAMPLES
+    examples: tuple[Example, ...] = examples.EVERYTHING
     seeds: int | None = None
     json: bool = False
+
+
+@dataclass(frozen=True)
+class Flown:
+    """Everything that was flown."""
+
+    seeds: int
+    traces: Traces
+    ring: PositionTraces
 
 
 def run_paper(plan: PaperPlan) -> int:
     """Reproduce the simulation section and return the exit status: 0, 130 stopped."""
     settings = load()
-    seeds = settings.examples.seeds if plan.seeds is None else plan.seeds
     console = Console(stderr=True)
     try:
         plan.directory.mkdir(parents=True, exist_ok=True)
-        traces = _fly(settings, plan.examples, seeds, console)
-        measured = evaluate.evaluate(settings, traces, plan.examples)
-        claims = judge(measured, plan.examples)
-        results = {"version": __version__, "seeds": seeds, **measured}
-        _write(plan, settings, traces, results, claims, console)
+        flown = _fly(settings, plan, console)
+        results, claims = _judged(settings, plan, flown)
+        _write(plan, settings, flown, results, claims, console)
     except OSError as error:
         raise UserError(f"--out {plan.directory}: {error.strerror}; choose another directory") from error
     except KeyboardInterrupt:
@@ -60,8 +72,17 @@ def run_paper(plan: PaperPlan) -> int:
     return 0
 
 
-def _fly(settings: PaperSettings, wanted: Sequence[int], seeds: int, console: Console) -> Traces:
-    planned = examples.plan(settings, wanted, seeds)
+def _numbered(plan: PaperPlan) -> tuple[int, ...]:
+    """The paper's own examples among those wanted."""
+    return tuple(example for example in plan.examples if isinstance(example, int))
+
+
+def _fly(settings: PaperSettings, plan: PaperPlan, console: Console) -> Flown:
+    """Fly what is wanted; the position ring in a second process if there are examples, too."""
+    seeds = settings.examples.seeds if plan.seeds is None else plan.seeds
+    ring_seeds = settings.position.seeds if plan.seeds is None else plan.seeds
+    planned = examples.plan(settings, _numbered(plan), seeds) if _numbered(plan) else []
+    ring = POSITION in plan.examples
     bar = Progress(
         TextColumn("{task.description:24}"),
         BarColumn(),
@@ -70,30 +91,61 @@ def _fly(settings: PaperSettings, wanted: Sequence[int], seeds: int, console: Co
         console=console,
         disable=not console.is_terminal,
     )
-    with bar:
+    # Not forked: the progress display has a thread. The pool's end stops what is still being flown.
+    with contextlib.ExitStack() as stack:
+        beside = None
+        if ring and planned:
+            pool = stack.enter_context(get_context("spawn").Pool(1, _leave_interrupt_to_parent))
+            beside = pool.apply_async(fly_position, (settings, ring_seeds, CONTROLLERS))
+        stack.enter_context(bar)
         if bar.disable:
             flights = sum(len(flown) for _, flown in planned)
-            bar.console.print(f"flying {flights} flights, {len(planned)} controllers ...")
-        task = bar.add_task("", total=examples.steps_of(planned))
-        return examples.fly_all(
-            settings, planned, lambda label, steps: bar.update(task, advance=steps, description=label)
-        )
+            bar.console.print(f"flying {flights} flights{', and the position ring' * ring} ...")
+        alone = position_steps(settings) if ring and not planned else 0
+        task = bar.add_task("", total=examples.steps_of(planned) + alone)
+
+        def tick(label: str, steps: int) -> None:
+            bar.update(task, advance=steps, description=label)
+
+        traces = examples.fly_all(settings, planned, tick)
+        bar.update(task, description="position ring" if beside else "")
+        if beside is not None:
+            return Flown(seeds, traces, beside.get())
+        return Flown(seeds, traces, fly_position(settings, ring_seeds, CONTROLLERS, tick) if ring else {})
+
+
+def _leave_interrupt_to_parent() -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _judged(settings: PaperSettings, plan: PaperPlan, flown: Flown) -> tuple[dict[str, Any], list[Claim]]:
+    """results.json without its claims, and the claims."""
+    results = evaluate.evaluate(settings, flown.traces, _numbered(plan))
+    claims = judge(results, _numbered(plan))
+    if flown.ring:
+        results[POSITION] = evaluate_position(settings, flown.ring)
+        claims += judge_position(results)
+    return {"version": __version__, "seeds": flown.seeds, **results}, claims
 
 
 def _write(
     plan: PaperPlan,
     settings: PaperSettings,
-    traces: Traces,
+    flown: Flown,
     results: dict[str, Any],
     claims: Sequence[Claim],
     console: Console,
 ) -> None:
     from kffa_offboard.experiments.figures import draw_all  # matplotlib is slow to import
+    from kffa_offboard.experiments.position_figures import draw_position
     from kffa_offboard.experiments.report import report
 
     with console.status("writing series, figures and report"):
-        write_series(plan.directory / "csv", settings, traces, plan.examples)
-        drawn = draw_all(plan.directory / "figures", settings, traces, plan.examples)
+        write_series(plan.directory / "csv", settings, flown.traces, _numbered(plan))
+        drawn = draw_all(plan.directory / "figures", settings, flown.traces, _numbered(plan))
+        if flown.ring:
+            write_position_series(plan.directory / "csv", flown.ring)
+            drawn += draw_position(plan.directory / "figures", settings, flown.ring)
         text = json.dumps(_as_json(results, claims), indent=1, ensure_ascii=False)
         (plan.directory / "results.json").write_text(text + "\n", encoding="utf-8")
         page = report(results, claims, drawn, plan.examples)
@@ -115,7 +167,7 @@ def _tell(plan: PaperPlan, claims: Sequence[Claim]) -> None:
     table.add_column("Verdict", ratio=2)
     for claim in claims:
         verdict = f"[{_STYLES[claim.verdict]}]{claim.verdict}"
-        table.add_row(str(claim.example), claim.claim, claim.measured, verdict)
+        table.add_row(str(claim.example).replace(POSITION, "ring"), claim.claim, claim.measured, verdict)
     console.print(table)
     console.print(f"Report: {plan.directory / 'report.html'}", soft_wrap=True, highlight=False)
     console.print(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 
@@ -12,7 +13,11 @@ from kffa_offboard.experiments import settings as paper
 from kffa_offboard.experiments.flights import STEP_S, Flights, Record, fly
 from kffa_offboard.experiments.settings import PaperSettings, Variant
 
+POSITION: Final = "position"
+Example = int | Literal["position"]
 EXAMPLES = (1, 2, 3, 4)
+#: The paper's examples, and the position ring, which it has no example of (`position_flights`).
+EVERYTHING: tuple[Example, ...] = (*EXAMPLES, POSITION)
 LOADED_STEP = "3/loaded-step"
 LOADS = ("load", "load-inertia", "limit", "limit-inertia")
 DISTURBANCES = ("load", "wind")

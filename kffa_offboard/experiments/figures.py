@@ -14,13 +14,14 @@ from matplotlib.figure import Figure
 
 from kffa_offboard.control import Array
 from kffa_offboard.control.controllers import ALTITUDE, PITCH, ROLL, YAW
-from kffa_offboard.experiments.examples import Traces
+from kffa_offboard.experiments.examples import Example, Traces
 from kffa_offboard.experiments.flights import STEP_S
 from kffa_offboard.experiments.settings import PaperSettings
 
 GREY = "#7a7a7a"
 COLOURS = {
     "pid": "#8450a0",
+    "cascaded-pid": "#8450a0",
     "wb-ladrc": "#2e8b57",
     "ladrc": "#d9731a",
     "fa-ladrc": "#1f5fa8",
@@ -33,7 +34,7 @@ PANELS = (
     (PITCH, "(c) Pitch", "δ [rad]"),
     (YAW, "(d) Yaw", "η [rad]"),
 )
-_STYLE: Any = {
+STYLE: Any = {
     "font.family": "sans-serif",
     "font.size": 10.0,
     "axes.spines.top": False,
@@ -56,43 +57,54 @@ _STYLE: Any = {
 class Drawn:
     """A figure on disk, and what it shows."""
 
-    example: int
+    example: Example
     path: Path
     title: str
     caption: str
 
 
+#: File name, title, caption, size in inches.
+About = tuple[str, str, str, tuple[float, float]]
+
+
 def draw_all(
     directory: Path, settings: PaperSettings, traces: Traces, examples: Iterable[int]
 ) -> list[Drawn]:
-    """Draw the figures of the examples that were flown."""
+    """Draw the figures of the paper's examples that were flown."""
+    return [
+        draw(directory, example, about, lambda figure, paint=paint: paint(figure, settings, traces))  # type: ignore[misc]
+        for example in examples
+        for about, paint in _FIGURES[example]
+    ]
+
+
+def draw(directory: Path, example: Example, about: About, paint: Callable[[Any], None]) -> Drawn:
+    """Draw one figure: `paint` is given the empty matplotlib figure."""
+    name, title, caption, size = about
     directory.mkdir(parents=True, exist_ok=True)
-    drawn = []
-    with mpl.rc_context(_STYLE):
-        for example in examples:
-            for name, title, caption, size, draw in _FIGURES[example]:
-                figure = Figure(figsize=size, dpi=110, layout="constrained")
-                FigureCanvasAgg(figure)
-                draw(figure, settings, traces)
-                path = directory / f"{name}.png"
-                figure.savefig(path, metadata={"Software": None})
-                drawn.append(Drawn(example, path, title, caption))
-    return drawn
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=size, dpi=110, layout="constrained")
+        FigureCanvasAgg(figure)
+        paint(figure)
+        path = directory / f"{name}.png"
+        figure.savefig(path, metadata={"Software": None})
+    return Drawn(example, path, title, caption)
 
 
-def _plot(axis: Any, time: Array, values: Array, controller: str, **style: Any) -> None:
+def plot(axis: Any, time: Array, values: Array, controller: str, **style: Any) -> None:
+    """One curve in the controller's colour, `time` and `values` (T,)."""
     colour = COLOURS[controller.split("/")[0]]
     axis.plot(time, values, **{"color": colour, "label": controller, **style})
 
 
-def _legend_above(figure: Any, axis: Any) -> None:
+def legend_above(figure: Any, axis: Any) -> None:
     """One legend for all panels, above them."""
     handles, names = axis.get_legend_handles_labels()
     figure.legend(
         handles,
         names,
         loc="outside upper center",
-        ncols=len(names) if len(names) <= 4 else 5,
+        ncols=min(len(names), 6),
         columnspacing=1.4,
     )
 
@@ -112,13 +124,13 @@ def _four_panels(
             )  # fmt: skip
         for label in labels:
             trace = traces[label, flight]
-            _plot(axis, trace.time[shown], (trace.error if error else trace.output)[shown, channel], label)
+            plot(axis, trace.time[shown], (trace.error if error else trace.output)[shown, channel], label)
         axis.set_title(title)
         axis.set_ylabel("error of " + unit if error else unit)
         axis.set_xlim(0.0, until_s)
     for axis in axes[1]:
         axis.set_xlabel("time [s]")
-    _legend_above(figure, axes[0, 0])
+    legend_above(figure, axes[0, 0])
 
 
 def _draw_step(figure: Any, settings: PaperSettings, traces: Traces) -> None:
@@ -140,13 +152,13 @@ def _draw_differentiator(figure: Any, settings: PaperSettings, traces: Traces) -
         ):
             trace = traces[label, "1/up"]
             name = label.removesuffix("/td") + (" with TD" if label.endswith("td") else "")
-            _plot(axis, trace.time, trace.output[:, channel], label, linestyle=style, label=name)
+            plot(axis, trace.time, trace.output[:, channel], label, linestyle=style, label=name)
         axis.axvspan(0.29, 0.30, color="#f2c14e", alpha=0.8, linewidth=0, label="Table 4: FA-LADRC")
         axis.set_title(title)
         axis.set_ylabel(unit)
         axis.set_xlabel("time [s]")
         axis.set_xlim(0.0, 1.2)
-    _legend_above(figure, left)
+    legend_above(figure, left)
 
 
 def _draw_down(figure: Any, settings: PaperSettings, traces: Traces) -> None:
@@ -200,7 +212,7 @@ def _draw_load(figure: Any, settings: PaperSettings, traces: Traces) -> None:
     for axis, (channel, title, unit) in zip(axes.flat, PANELS, strict=False):
         for label in labels:
             trace = traces[label, "3/load"]
-            _plot(axis, trace.time, trace.output[:, channel], label)
+            plot(axis, trace.time, trace.output[:, channel], label)
         axis.set_title(title)
         axis.set_ylabel(unit)
         axis.set_xlim(0.0, told.duration_s)
@@ -211,12 +223,12 @@ def _draw_load(figure: Any, settings: PaperSettings, traces: Traces) -> None:
         for label in labels:
             trace = traces[label, "3/load"]
             shown = (trace.time >= start - 0.1) & (trace.time <= start + 0.8)
-            _plot(axis, trace.time[shown], -1000.0 * trace.error[shown, ALTITUDE], label)
+            plot(axis, trace.time[shown], -1000.0 * trace.error[shown, ALTITUDE], label)
         axis.set_title(title)
         axis.set_ylabel("off set-point [mm]")
         axis.set_xlim(start - 0.1, start + 0.8)
         axis.set_xlabel("time [s]")
-    _legend_above(figure, axes[0, 0])
+    legend_above(figure, axes[0, 0])
 
 
 def _draw_gains(channel: int) -> Callable[[Any, PaperSettings, Traces], None]:
@@ -231,7 +243,7 @@ def _draw_gains(channel: int) -> Callable[[Any, PaperSettings, Traces], None]:
                 shown = trace.time >= 1.0 - STEP_S / 2
                 omega_c = trace.omega_c[shown, channel]
                 for axis, values in ((axes[0, column], omega_c**2), (axes[1, column], 2.0 * omega_c)):
-                    _plot(axis, trace.time[shown], values, label, linewidth=0.9 if column else 1.4)
+                    plot(axis, trace.time[shown], values, label, linewidth=0.9 if column else 1.4)
                     axis.set_xlim(1.0, settings.examples.duration_s)
             axes[0, column].set_title(title)
             axes[1, column].set_xlabel("time [s]")
@@ -242,7 +254,7 @@ def _draw_gains(channel: int) -> Callable[[Any, PaperSettings, Traces], None]:
         if not axes[0, 1].lines:
             for axis in axes[:, 1]:
                 axis.text(0.5, 0.5, "Example 4 was not flown", transform=axis.transAxes, ha="center")
-        _legend_above(figure, axes[0, 0])
+        legend_above(figure, axes[0, 0])
 
     return draw
 
@@ -262,8 +274,8 @@ def _draw_noise(figure: Any, settings: PaperSettings, traces: Traces) -> None:
     for column, (flight, title) in enumerate(cases):
         for label in ("fa-ladrc", "kffa-ladrc"):
             trace = traces[label, flight]
-            _plot(axes[0, column], trace.time, trace.omega_c[:, ROLL], label, linewidth=0.7)
-            _plot(axes[1, column], trace.time, trace.output[:, ROLL], label, linewidth=0.9)
+            plot(axes[0, column], trace.time, trace.omega_c[:, ROLL], label, linewidth=0.7)
+            plot(axes[1, column], trace.time, trace.output[:, ROLL], label, linewidth=0.9)
         axes[1, column].plot(
             trace.time, trace.reference[:, ROLL], color="#222222", linestyle=(0, (4, 3)), linewidth=1.1,
             label="reference",
@@ -275,7 +287,7 @@ def _draw_noise(figure: Any, settings: PaperSettings, traces: Traces) -> None:
     axes[0, 0].set_ylabel("ω_c [rad/s]")
     axes[1, 0].set_ylabel("ξ [rad]")
     axes[1, 0].set_ylim(0.3, 0.75)
-    _legend_above(figure, axes[1, 0])
+    legend_above(figure, axes[1, 0])
 
 
 def _draw_filters(figure: Any, settings: PaperSettings, traces: Traces) -> None:
@@ -312,56 +324,56 @@ def _draw_filters(figure: Any, settings: PaperSettings, traces: Traces) -> None:
 
 _Draw = Callable[[Any, PaperSettings, Traces], None]
 _WIDE, _TALL, _LOW = (9.5, 6.0), (9.5, 8.0), (9.5, 3.4)
-_FIGURES: dict[int, tuple[tuple[str, str, str, tuple[float, float], _Draw], ...]] = {
+_FIGURES: dict[int, tuple[tuple[About, _Draw], ...]] = {
     1: (
-        ("fig06-step", "Fig 6: tracking a step", "0.5 rad and 5 m at once, without TD.", _WIDE, _draw_step),
-        ("fig07-step-error", "Fig 7: error of the step", "The same flights.", _WIDE, _draw_step_error),
+        (("fig06-step", "Fig 6: tracking a step", "0.5 rad and 5 m at once, without TD.", _WIDE), _draw_step),
+        (("fig07-step-error", "Fig 7: error of the step", "The same flights.", _WIDE), _draw_step_error),
         (
-            "differentiator", "With and without the TD",
-            "Behind the published TD, LADRC and FA-LADRC are equally slow.", _LOW, _draw_differentiator,
+            ("differentiator", "With and without the TD",
+            "Behind the published TD, LADRC and FA-LADRC are equally slow.", _LOW), _draw_differentiator,
         ),
         (
-            "step-down", "A step down",
+            ("step-down", "A step down",
             "omega_c during a step up and a step down. The published table is odd: what it adds upward it "
             "takes downward.",
-            _LOW, _draw_down,
+            _LOW), _draw_down,
         ),
     ),
     2: (
-        ("fig08-triangle", "Fig 8: tracking a triangle wave", "Without TD.", _WIDE, _draw_triangle),
-        ("triangle-error", "Error of the triangle wave", "The lag as an error.", _WIDE, _draw_triangle_error),
+        (("fig08-triangle", "Fig 8: tracking a triangle wave", "Without TD.", _WIDE), _draw_triangle),
+        (("triangle-error", "Error of the triangle", "The lag as an error.", _WIDE), _draw_triangle_error),
     ),
     3: (
-        ("fig09-load", "Fig 9: the load", "As published, and Table 1's largest load.", _LOW, _draw_schedule),
+        (("fig09-load", "Fig 9: the load", "As published, and Table 1's largest.", _LOW), _draw_schedule),
         (
-            "fig10-load-response", "Fig 10: response to the load",
+            ("fig10-load-response", "Fig 10: response to the load",
             "Set-points of Example 1 from 0 s on. The load is invisible at the scale of Fig 10, hence (e) "
             "and (f).",
-            _TALL, _draw_load,
+            _TALL), _draw_load,
         ),
         (
-            "fig11-gains-height", "Fig 11: kp and kd of the height",
+            ("fig11-gains-height", "Fig 11: kp and kd of the height",
             "A load of 5 kg moves the height by millimetres, so the rules hardly notice; noise moves the "
             "gains far more.",
-            _WIDE, _draw_gains(ALTITUDE),
+            _WIDE), _draw_gains(ALTITUDE),
         ),
         (
-            "fig12-gains-roll", "Fig 12: kp and kd of roll",
+            ("fig12-gains-roll", "Fig 12: kp and kd of roll",
             "Left: constant, because eq 15 has no torque of a load on the vertical "
-            "axis.", _WIDE, _draw_gains(ROLL),
+            "axis.", _WIDE), _draw_gains(ROLL),
         ),
     ),
     4: (
         (
-            "fig13-noise", "Fig 13: noise, with load and with d_z",
+            ("fig13-noise", "Fig 13: noise, with load and with d_z",
             "Measurement noise sigma = 0.03 on all channels, first seed; the roll is the true "
-            "one.", _WIDE, _draw_noise,
+            "one.", _WIDE), _draw_noise,
         ),
         (
-            "filters", "Where the error under noise comes from",
+            ("filters", "Where the error under noise comes from",
             "All seeds, load case. The published rules turn noise into a constant error; the literal "
             "filter leaves it there.",
-            (9.5, 4.2), _draw_filters,
+            (9.5, 4.2)), _draw_filters,
         ),
     ),
 }  # fmt: skip

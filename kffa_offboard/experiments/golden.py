@@ -10,6 +10,8 @@ from typing import Any
 
 from kffa_offboard.experiments import evaluate, examples
 from kffa_offboard.experiments.claims import judge
+from kffa_offboard.experiments.position_flights import PositionTraces, fly_position
+from kffa_offboard.experiments.position_results import OURS, evaluate_position, judge_position
 from kffa_offboard.experiments.settings import PaperSettings
 
 RELATIVE = 1e-6
@@ -28,17 +30,23 @@ def jsonable(value: Any) -> Any:
 
 
 def fly_golden(settings: PaperSettings) -> dict[str, Any]:
-    """Fly all examples with one seed and return what is kept of them."""
-    return kept(settings, examples.fly_all(settings, examples.plan(settings, examples.EXAMPLES, seeds=1)))
+    """Fly all examples with one seed, the position ring with its own controller, and return what is kept."""
+    traces = examples.fly_all(settings, examples.plan(settings, examples.EXAMPLES, seeds=1))
+    return kept(settings, traces, fly_position(settings, 1, (OURS,)))
 
 
-def kept(settings: PaperSettings, traces: examples.Traces) -> dict[str, Any]:
-    """Numbers and, of the claims, verdicts of all examples, flown with one seed."""
+def kept(settings: PaperSettings, traces: examples.Traces, ring: PositionTraces) -> dict[str, Any]:
+    """Numbers and, of the claims, verdicts of everything, flown with one seed."""
     results = evaluate.evaluate(settings, traces, examples.EXAMPLES)
-    claims = judge(results, examples.EXAMPLES)
-    verdicts = {f"example {claim.example}: {claim.claim}": claim.verdict for claim in claims}
+    results[examples.POSITION] = evaluate_position(settings, ring)
+    claims = [*judge(results, examples.EXAMPLES), *judge_position(results)]
+    verdicts = {f"{_name(claim.example)}: {claim.claim}": claim.verdict for claim in claims}
     numbers: dict[str, Any] = jsonable({"seeds": 1, **results, "verdicts": verdicts})
     return numbers
+
+
+def _name(example: examples.Example) -> str:
+    return f"example {example}" if isinstance(example, int) else example
 
 
 def write(path: Path, results: dict[str, Any]) -> None:

@@ -9,13 +9,15 @@ from typing import Any
 
 from kffa_offboard.control.controllers import ALTITUDE, CHANNELS
 from kffa_offboard.experiments.claims import BANDS, FAILS, HOLDS, OTHER, TABLE_4, Claim
+from kffa_offboard.experiments.examples import POSITION, Example
 from kffa_offboard.experiments.figures import Drawn
 
-_TITLES = {
+_TITLES: dict[Example, str] = {
     1: "Example 1: steps",
     2: "Example 2: triangle wave",
     3: "Example 3: load",
     4: "Example 4: noise",
+    POSITION: "Position ring",
 }
 _CLASSES = {HOLDS: "holds", OTHER: "other", FAILS: "fails"}
 # The paper's order of columns.
@@ -62,15 +64,15 @@ nav a { margin-right: 1.2rem; color: #1f5fa8; text-decoration: none; font-size: 
 
 
 def report(
-    results: dict[str, Any], claims: Sequence[Claim], drawn: Sequence[Drawn], examples: Sequence[int]
+    results: dict[str, Any], claims: Sequence[Claim], drawn: Sequence[Drawn], examples: Sequence[Example]
 ) -> str:
     """The page as HTML."""
     parts = [_head(results, claims, examples)]
-    tables = {1: _table_4, 2: _triangle_table, 3: _load_table, 4: _noise_table}
+    tables = {1: _table_4, 2: _triangle_table, 3: _load_table, 4: _noise_table, POSITION: _position_tables}
     for example in examples:
-        parts.append(f'<h2 id="example{example}">{_TITLES[example]}</h2>')
+        parts.append(f'<h2 id="{_anchor(example)}">{_TITLES[example]}</h2>')
         parts.append(_claims_table([claim for claim in claims if claim.example == example]))
-        parts.append(tables[example](results[f"example{example}"]))
+        parts.append(tables[example](results[_anchor(example)]))
         parts += [_figure(figure) for figure in drawn if figure.example == example]
     parts.append(_method(results))
     return (
@@ -81,14 +83,19 @@ def report(
     )
 
 
-def _head(results: dict[str, Any], claims: Sequence[Claim], examples: Sequence[int]) -> str:
+def _anchor(example: Example) -> str:
+    """Name in results.json and on the page."""
+    return f"example{example}" if isinstance(example, int) else example
+
+
+def _head(results: dict[str, Any], claims: Sequence[Claim], examples: Sequence[Example]) -> str:
     counts = {verdict: sum(claim.verdict == verdict for claim in claims) for verdict in _CLASSES}
     summary = ", ".join(
         f'<span class="verdict {_CLASSES[verdict]}">{number} '
         f"{verdict.replace('holds', 'hold').replace('does not', 'do not')}</span>"
         for verdict, number in counts.items()
     )
-    links = "".join(f'<a href="#example{example}">{_TITLES[example]}</a>' for example in examples)
+    links = "".join(f'<a href="#{_anchor(example)}">{_TITLES[example]}</a>' for example in examples)
     return (
         "<h1>KFFA-LADRC for a quadrotor with a load: the simulation section, reproduced</h1>"
         "<p>“Fuzzy Adaptive Linear Active Disturbance Rejection Control for Quadrotor Load UAV Based on "
@@ -233,6 +240,46 @@ def _noise_table(example: dict[str, Any]) -> str:
     )  # fmt: skip
 
 
+def _position_tables(found: dict[str, Any]) -> str:
+    columns = (
+        ("hover", "rms_m", "hover rms", 1000.0), ("hover", "pick_up_m", "pick-up", 1000.0),
+        ("hover", "drop_m", "drop", 1000.0), ("hover", "height_rms_m", "height: hover rms", 1000.0),
+        ("hover", "pick_up_height_m", "height: pick-up", 1000.0),
+        ("hover", "drop_height_m", "height: drop", 1000.0),
+    )  # fmt: skip
+    moving = (
+        ("step", "settling_2_percent_s", "step: 2 %, s", 2), ("step", "overshoot_percent", "overshoot, %", 1),
+        ("loaded-step", "settling_2_percent_s", "with 5 kg: 2 %, s", 2),
+        ("loaded-step", "overshoot_percent", "overshoot, %", 1),
+        ("square", "off_the_line_m", "square: off the line, m", 3), ("square", "behind_m", "behind, m", 2),
+    )  # fmt: skip
+
+    def cell(value: dict[str, float], scale: float, digits: int) -> str:
+        return f"{number(scale * value['mean'], digits)} · {number(scale * value['worst'], digits)}"
+
+    flown = found["controllers"].items()
+    seeds = f"Mean · worst of {found['seeds']} seed{'' if found['seeds'] == 1 else 's'}. "
+    return _table(
+        "Place and height held, mm",
+        ["Controller", *(title.replace(": ", ":<br>") for _, _, title, _ in columns)],
+        [
+            [label, *(cell(one[flight][key], scale, 0) for flight, key, _, scale in columns)]
+            for label, one in flown
+        ],
+        seeds
+        + "Pick-up and drop: largest distance in the 5 s after it. cascaded-pid: PX4's cascade and gains.",
+    ) + _table(
+        "Step and square",
+        ["Controller", *(title.replace(": ", ":<br>") for _, _, title, _ in moving)],
+        [
+            [label, *(cell(one[flight][key], 1.0, digits) for flight, key, _, digits in moving)]
+            for label, one in flown
+        ],
+        "A dash: not within 8 s. The LADRCs' reference passes the tracking differentiator, the cascade's does "
+        "not.",
+    )
+
+
 def _method(results: dict[str, Any]) -> str:
     return (
         '<h2 id="method">Method</h2>'
@@ -248,4 +295,12 @@ def _method(results: dict[str, Any]) -> str:
         f"each with a line saying how it was chosen. Example 4 was flown with {results['seeds']} "
         f"seed{'' if results['seeds'] == 1 else 's'}. "
         "All series are in csv/, all numbers in results.json.</p>"
+        "<p>The position ring flies in another profile: 246 N on four motors with 50 ms of lag, 20 ms of "
+        "link delay "
+        "each way, telemetry with noise at 100 Hz, air drag of 0.6 N s/m, a load with inertia held 0.3 m "
+        "below, and a "
+        "body-rate loop like PX4's for an autopilot. Controllers and ring are those that the daemon "
+        "makes of "
+        "configs/demo-px4-position.toml; <code>kffa-offboard demo --position</code> flies them over "
+        "MAVLink.</p>"
     )

@@ -12,9 +12,11 @@ from kffa_offboard.control import Array
 from kffa_offboard.control.controllers import CHANNELS
 from kffa_offboard.experiments.evaluate import labels, noise_of
 from kffa_offboard.experiments.examples import DISTURBANCES, Traces
+from kffa_offboard.experiments.position_flights import FLIGHTS, PositionTraces
 from kffa_offboard.experiments.settings import PaperSettings
 
 SHOWN_SEED = 0
+_PLACE = ("x", "y", "z", "roll", "pitch", "yaw")
 
 
 def write_series(
@@ -45,7 +47,10 @@ def _write_flight(directory: Path, traces: Traces, name: str) -> Path:
         for i, channel in enumerate(CHANNELS):
             header += [f"{label}:{channel}", f"{label}:{channel}:command", f"{label}:{channel}:omega_c"]
             columns += [trace.output[:, i], trace.command[:, i], trace.omega_c[:, i]]
-    path = directory / f"example{name.replace('/', '-')}.csv"
+    return _save(directory / f"example{name.replace('/', '-')}.csv", header, columns)
+
+
+def _save(path: Path, header: list[str], columns: list[Array]) -> Path:
     np.savetxt(
         path, np.column_stack(columns), fmt="%.7g", delimiter=",", header=",".join(header), comments=""
     )
@@ -63,3 +68,27 @@ def _write_seeds(directory: Path, settings: PaperSettings, traces: Traces) -> Pa
                     for seed, four in enumerate(values):
                         rows.writerow([label, case, seed, quantity, *(f"{value:.7g}" for value in four)])
     return path
+
+
+def write_position_series(directory: Path, traces: PositionTraces) -> list[Path]:
+    """Write the position ring's flights of the first seed, a file each, and return the paths.
+
+    Columns: ``time_s``, ``target_x``, ``target_y``, ``load_mass_kg``, then ``<controller>:x`` and so on; m,
+    rad, true.
+    """
+    directory.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for flight in FLIGHTS:
+        flown = {
+            label: trace
+            for (label, name, seed), trace in traces.items()
+            if (name, seed) == (flight, SHOWN_SEED)
+        }
+        first = next(iter(flown.values()))
+        header = ["time_s", "target_x", "target_y", "load_mass_kg"]
+        header += [f"{label}:{name}" for label in flown for name in _PLACE]
+        columns: list[Array] = [first.time, *first.target.T, first.load_mass]
+        for trace in flown.values():
+            columns += [*trace.place.T, *trace.attitude.T]
+        paths.append(_save(directory / f"position-{flight}.csv", header, columns))
+    return paths

@@ -19,6 +19,7 @@ from kffa_offboard.experiments import plant
 
 Positive = Annotated[float, Field(gt=0.0, allow_inf_nan=False)]
 NotNegative = Annotated[float, Field(ge=0.0, allow_inf_nan=False)]
+Finite = Annotated[float, Field(allow_inf_nan=False)]
 FourPositive = tuple[Positive, Positive, Positive, Positive]
 FourNotNegative = tuple[NotNegative, NotNegative, NotNegative, NotNegative]
 
@@ -90,6 +91,44 @@ class Examples(_Table):
     seeds: Annotated[int, Field(ge=1, le=1000)]
 
 
+class PositionRing(_Table):
+    """What is flown with the position ring, and in which wind."""
+
+    seeds: Annotated[int, Field(ge=1, le=1000)]
+    yaw_rad: Annotated[float, Field(ge=-3.2, le=3.2)]
+    drag_n_s_m: NotNegative
+    wind_m_s: tuple[Finite, Finite, Finite]
+    gust_std_m_s: NotNegative
+    gust_time_constant_s: Positive
+    delay_s: Annotated[float, Field(ge=0.0, le=0.2)]
+    position_noise_m: tuple[NotNegative, NotNegative, NotNegative]
+    velocity_noise_m_s: NotNegative
+    attitude_noise_rad: NotNegative
+    body_rate_noise_rad_s: NotNegative
+    altitude_m: Positive
+    load_kg: Annotated[float, Field(gt=0.0, le=plant.LOAD_LIMIT)]
+    lead_s: Positive
+    hover_s: Positive
+    step_m: Positive
+    step_s: Positive
+    side_s: Positive
+
+    @property
+    def pick_up_s(self) -> float:
+        """When the hovering vehicle takes its load."""
+        return self.lead_s + self.hover_s
+
+    @property
+    def drop_s(self) -> float:
+        """When the hovering vehicle drops it."""
+        return self.lead_s + 2.0 * self.hover_s
+
+    @property
+    def square_drop_s(self) -> float:
+        """When the load is dropped on the square: in the middle of its second side."""
+        return self.lead_s + 1.5 * self.side_s
+
+
 class PaperSettings(_Table):
     """The whole of configs/paper.toml."""
 
@@ -101,6 +140,7 @@ class PaperSettings(_Table):
     fuzzy: Fuzzy
     kalman: Kalman
     examples: Examples
+    position: PositionRing
 
 
 def load(path: Path | None = None) -> PaperSettings:
