@@ -163,6 +163,7 @@ def _summary(config: DaemonConfig) -> str:
         "Examples:\n\n"
         "    kffa-offboard demo\n\n"
         "    kffa-offboard demo --personality ardupilot --output attitude\n\n"
+        "    kffa-offboard demo --position    (in gusty wind, holding the place)\n\n"
         "    kffa-offboard demo --lockstep --json    (as fast as it will go)\n\n"
         "Exit status: 0 flown, 1 the flight failed, 2 wrong usage, 130 stopped."
     )
@@ -185,12 +186,17 @@ def demo(
     baseline: Annotated[
         bool, typer.Option("--baseline/--no-baseline", help="Fly the cascaded PID, too, for comparison.")
     ] = True,
+    position: Annotated[
+        bool,
+        typer.Option("--position", help="In gusty wind of 5 m/s: hold the place, too, and fly a square."),
+    ] = False,
 ) -> None:
     """Fly a simulated 10 kg quadrotor that picks up 5 kg and drops it; say how far it moved.
 
     Starts `sim-vehicle` and the daemon as two processes that talk MAVLink 2 over UDP on loopback: take-off to
-    5 m, pick-up 12 s and drop 20 s after lift-off (the daemon is not told), landing. The same flight under a
-    cascade of PIDs like PX4's stands beside it. Writes flight.png.
+    5 m, pick-up 12 s and drop 20 s after lift-off (the daemon is not told), landing. With
+    --position the drop comes at 18 s, and a square before the landing. The same flight under a cascade of
+    PIDs like PX4's stands beside it. Writes flight.png and drop.png.
     """
     from kffa_offboard.demo.command import DemoPlan, run_demo
 
@@ -202,6 +208,7 @@ def demo(
         seed=seed,
         lockstep=lockstep,
         baseline=baseline,
+        position=position,
         json=json,
     )
     raise typer.Exit(run_demo(plan))

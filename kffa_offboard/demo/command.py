@@ -14,20 +14,22 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from kffa_offboard import __version__
 from kffa_offboard.config import bundled, load
-from kffa_offboard.demo.metrics import FlightFailed, FlightMetrics, Truth, measure, read_truth
+from kffa_offboard.demo.metrics import Array, FlightFailed, FlightMetrics, Truth, measure, read_truth
 from kffa_offboard.demo.processes import FlightPlan, FlightSummary, fly
 from kffa_offboard.demo.recording import Recording, read_recording
 from kffa_offboard.demo.table import results_table
 from kffa_offboard.errors import UserError
-from kffa_offboard.offboard.segments import Takeoff
+from kffa_offboard.offboard.segments import Move, Takeoff
 
 BASELINE = "cascaded-pid"
 EXPECTED_FLIGHT_S = 46.0
+EXPECTED_POSITION_FLIGHT_S = 66.0
 FAILED = 1
 INTERRUPTED = 130
 
@@ -43,11 +45,14 @@ class DemoPlan:
     seed: int = 0
     lockstep: bool = False
     baseline: bool = True
+    position: bool = False
     json: bool = False
 
     def flight(self, controller: str, lockstep: bool) -> FlightPlan:
         """The plan of one of the flights."""
-        return FlightPlan(self.directory, self.personality, self.output, controller, self.seed, lockstep)
+        return FlightPlan(
+            self.directory, self.personality, self.output, controller, self.seed, lockstep, self.position
+        )
 
 
 @dataclass(frozen=True)
@@ -82,7 +87,7 @@ def run_demo(plan: DemoPlan) -> int:
         print(json.dumps(_as_json(plan, flights)), flush=True)
     else:
         console = Console()
-        console.print(results_table(plan.personality, plan.output, plan.seed, flights))
+        console.print(results_table(flights))
         console.print(f"Drawn: {', '.join(map(str, figures))}", soft_wrap=True, highlight=False)
     return 0
 
@@ -101,10 +106,17 @@ def _terminate_as_interrupt() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
-def target_height(personality: str) -> float:
-    """The height that the demonstration's scenario takes off to, m."""
-    scenario = load(bundled(f"demo-{personality}.toml")).service.scenario
+def target_height(plan: FlightPlan) -> float:
+    """The height that the flight's scenario takes off to, m."""
+    scenario = load(bundled(f"{plan.config}.toml")).service.scenario
     return next(segment.altitude_m for segment in scenario if isinstance(segment, Takeoff))
+
+
+def move_corners(plan: FlightPlan) -> Array | None:
+    """Ends of the scenario's moves (K, 2), m north and west of the start; None if no place is held."""
+    scenario = load(bundled(f"{plan.config}.toml")).service.scenario
+    moves = [(move.north_m, -move.east_m) for move in scenario if isinstance(move, Move)]
+    return np.cumsum([(0.0, 0.0), *moves], axis=0) if moves else None
 
 
 def _fly_all(plan: DemoPlan, console: Console) -> list[DemoFlight]:
@@ -126,25 +138,26 @@ def _fly_all(plan: DemoPlan, console: Console) -> list[DemoFlight]:
 
 
 def _fly_one(plan: FlightPlan, bar: Progress) -> DemoFlight:
+    expected = EXPECTED_POSITION_FLIGHT_S if plan.position else EXPECTED_FLIGHT_S
     if bar.disable:
-        how = "in lock-step" if plan.lockstep else f"in real time, about {EXPECTED_FLIGHT_S:.0f} s"
+        how = "in lock-step" if plan.lockstep else f"in real time, about {expected:.0f} s"
         bar.console.print(f"flying {plan.controller} {how} ...")
-    task = bar.add_task("", total=EXPECTED_FLIGHT_S, controller=plan.controller, latest="starting")
+    task = bar.add_task("", total=expected, controller=plan.controller, latest="starting")
 
     def show(flown: float, latest: str) -> None:
-        bar.update(task, completed=min(flown, EXPECTED_FLIGHT_S), latest=latest)
+        bar.update(task, completed=min(flown, expected), latest=latest)
 
     summary = fly(plan, show)
-    bar.update(task, completed=EXPECTED_FLIGHT_S, latest="landed")
+    bar.update(task, completed=expected, latest="landed")
     truth = read_truth(plan.truth)
-    metrics = measure(truth, target_height(plan.personality))
+    metrics = measure(truth, target_height(plan), move_corners(plan))
     return DemoFlight(plan, summary, truth, metrics, read_recording(plan.log))
 
 
 def _draw(plan: DemoPlan, flights: list[DemoFlight]) -> list[Path]:
     from kffa_offboard.demo.figure import draw_drop, draw_flight  # matplotlib is slow to import
 
-    target_m = target_height(plan.personality)
+    target_m = target_height(flights[0].plan)
     figures = [plan.directory / "flight.png", plan.directory / "drop.png"]
     draw_flight(figures[0], flights, target_m)
     draw_drop(figures[1], flights, target_m)
@@ -159,6 +172,7 @@ def _as_json(plan: DemoPlan, flights: list[DemoFlight]) -> dict[str, Any]:
         "output": plan.output,
         "seed": plan.seed,
         "lockstep": plan.lockstep,
+        "position": plan.position,
         "baseline": _flight_json(others[0]) if others else None,
         "versions": {
             "kffa-offboard": __version__,
@@ -176,5 +190,6 @@ def _flight_json(flight: DemoFlight) -> dict[str, Any]:
         "drop": asdict(metrics.drop),
         "hover": {"rms_m": metrics.hover_rms_m},
         "attitude": {"rms_rad": metrics.attitude_rms_rad},
+        **({} if metrics.place is None else {"place": asdict(metrics.place)}),
         **asdict(flight.summary),
     }

@@ -60,20 +60,25 @@ class DrawnFlight(Protocol):
 def draw_flight(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> None:
     """Altitude, attitude, thrust, disturbance estimate and omega_c of the first flight against time.
 
-    Altitude and thrust of the second one, if there is one, stand beside it. Time counts from lift-off.
+    Where a place is held, also north and east. Altitude, place and thrust of the second flight, if there is
+    one, stand beside it. Time counts from lift-off.
     """
+    first = flights[0]
+    place = first.metrics.place is not None
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(10.0, 12.0), dpi=130, layout="constrained")
+        figure = Figure(figsize=(10.0, 14.5 if place else 12.0), dpi=130, layout="constrained")
         FigureCanvasAgg(figure)
-        axes = figure.subplots(5, 1, sharex=True, height_ratios=[3, 2, 2, 2, 2])
-        first = flights[0]
+        panels = figure.subplots(5 + place, 1, sharex=True, height_ratios=[3, *[3] * place, 2, 2, 2, 2])
+        axes = [panels[0], *panels[1 + place :]]
         figure.suptitle(_title(first), fontsize=12.5, fontweight="bold")
         _draw_altitude(axes[0], flights, target_m)
         _draw_attitude(axes[1], first)
         _draw_thrust(axes[2], flights)
         _draw_disturbance(axes[3], first)
         _draw_bandwidth(axes[4], first)
-        for axis in axes:
+        if place:
+            _draw_place(panels[1], flights)
+        for axis in panels:
             _mark_events(axis, first)
         _name_events(axes[0], first)
         axes[-1].set_xlabel("time since lift-off [s]")
@@ -82,11 +87,16 @@ def draw_flight(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> 
 
 
 def draw_drop(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> None:
-    """Height around pick-up and drop, all flights overlaid; time counts from the change of load."""
+    """Height around pick-up and drop, all flights overlaid; time counts from the change of load.
+
+    Where a place is held, its distance stands below.
+    """
+    place = flights[0].metrics.place is not None
     with mpl.rc_context(_STYLE):
-        figure = Figure(figsize=(10.0, 4.0), dpi=130, layout="constrained")
+        figure = Figure(figsize=(10.0, 7.0 if place else 4.0), dpi=130, layout="constrained")
         FigureCanvasAgg(figure)
-        axes = figure.subplots(1, 2, sharey=True)
+        rows = figure.subplots(1 + place, 2, sharex=True, sharey="row", squeeze=False)
+        axes = rows[0]
         load = float(flights[0].truth.load_mass_kg.max())
         for axis, name, event in ((axes[0], "picked up", "pickup"), (axes[1], "dropped", "drop")):
             for flight, colour in zip(flights, _FLIGHT_COLOURS, strict=False):
@@ -99,11 +109,30 @@ def draw_drop(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> No
                 )
             axis.axvline(0.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
             axis.set_title(f"{load:g} kg {name}")
-            axis.set_xlabel("time since then [s]")
             axis.set_xlim(-1.0, WINDOW_S)
             axis.legend(loc="upper right" if event == "pickup" else "lower right")
         axes[0].set_ylabel("height error [m]")
+        if place:
+            _draw_distance(rows[1], flights)
+        for axis in rows[-1]:
+            axis.set_xlabel("time since then [s]")
         figure.savefig(path)
+
+
+def _draw_distance(axes: Any, flights: Sequence[DrawnFlight]) -> None:
+    """Horizontal distance from where it took off, around pick-up and drop."""
+    for axis, event in zip(axes, ("pickup", "drop"), strict=True):
+        for flight, colour in zip(flights, _FLIGHT_COLOURS, strict=False):
+            time = flight.truth.time_s - getattr(flight.metrics, f"{event}_s")
+            shown = (time >= -1.0) & (time <= WINDOW_S)
+            away = np.hypot(flight.truth.x[shown], flight.truth.y[shown])
+            peak = getattr(flight.metrics.place, f"{event}_peak_m")
+            label = f"{flight.plan.controller}, peak {peak:.3f} m"
+            axis.plot(time[shown], away, color=colour, label=label, linewidth=1.8)
+        axis.axvline(0.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
+        axis.legend(loc="upper right")
+    axes[0].set_ylim(0.0, 1.25 * axes[0].get_ylim()[1])  # both axes; room for the legend
+    axes[0].set_ylabel("horizontal distance [m]")
 
 
 def _title(flight: DrawnFlight) -> str:
@@ -133,12 +162,16 @@ def _mark_events(axis: Any, flight: DrawnFlight) -> None:
 
 def _name_events(axis: Any, flight: DrawnFlight) -> None:
     load = flight.truth.load_mass_kg.max()
-    for name, event_s in (("pick-up", flight.metrics.pickup_s), ("drop", flight.metrics.drop_s)):
+    for name, event_s, side in (
+        ("pick-up", flight.metrics.pickup_s, "right"),
+        ("drop", flight.metrics.drop_s, "left"),
+    ):
         axis.annotate(
-            f" {name} {load:g} kg",
+            f" {name} {load:g} kg ",
             (_since_liftoff(flight, event_s), 0.03),
             xycoords=("data", "axes fraction"),
             color="#444444",
+            horizontalalignment=side,
         )
 
 
@@ -153,6 +186,18 @@ def _draw_altitude(axis: Any, flights: Sequence[DrawnFlight], target_m: float) -
         time = _since_liftoff(flight, flight.truth.time_s)
         axis.plot(time, flight.truth.z, color=colour, label=flight.plan.controller)
     axis.set_title("Altitude (true)")
+    axis.set_ylabel("m")
+    _legend(axis)
+
+
+def _draw_place(axis: Any, flights: Sequence[DrawnFlight]) -> None:
+    """North full, east dashed, of all flights."""
+    for flight, colour in reversed(list(zip(flights, _FLIGHT_COLOURS, strict=False))):
+        time = _since_liftoff(flight, flight.truth.time_s)
+        name = flight.plan.controller
+        axis.plot(time, -flight.truth.y, color=colour, label=f"{name} east", linestyle=(0, (4, 2)))
+        axis.plot(time, flight.truth.x, color=colour, label=f"{name} north")
+    axis.set_title("Place (true)")
     axis.set_ylabel("m")
     _legend(axis)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-COLUMNS = ("time_s", "z", "roll", "pitch", "yaw", "thrust_n", "load_mass_kg")
+COLUMNS = ("time_s", "x", "y", "z", "roll", "pitch", "yaw", "thrust_n", "load_mass_kg")
 
 WINDOW_S = 5.0
 """Length of the window after a pick-up or drop, and of the steady hover before the pick-up."""
@@ -33,6 +34,7 @@ class Truth:
     Attributes
     ----------
     time_s : simulated time since power-up
+    x, y : north and west of where it took off
     z : height above the ground
     roll, pitch, yaw : attitude
     thrust_n : total thrust of the motors
@@ -41,6 +43,8 @@ class Truth:
     """
 
     time_s: Array
+    x: Array
+    y: Array
     z: Array
     roll: Array
     pitch: Array
@@ -59,6 +63,23 @@ class Deviation:
 
 
 @dataclass(frozen=True)
+class PlaceMetrics:
+    """How well the place was held and the way flown; horizontal, m.
+
+    Attributes
+    ----------
+    hover_rms_m : rms distance from where it took off, in the last 5 s before the pick-up
+    pickup_peak_m, drop_peak_m : largest such distance in the 5 s after each
+    path_peak_m : largest distance from the line of the moves, from 5 s after the drop until landing begins
+    """
+
+    hover_rms_m: float
+    pickup_peak_m: float
+    drop_peak_m: float
+    path_peak_m: float
+
+
+@dataclass(frozen=True)
 class FlightMetrics:
     """The figures of one flight.
 
@@ -66,8 +87,10 @@ class FlightMetrics:
     ----------
     pickup, drop : deviation of height
     hover_rms_m : rms distance from the target in the last 5 s before the pick-up
-    attitude_rms_rad : rms of roll and pitch from there until landing begins
+    attitude_rms_rad : rms of roll and pitch from there until landing begins; with moves, until 5 s after
+        the drop
     pickup_s, drop_s, liftoff_s, landing_s : when, in simulated time
+    place : None where no place was to be held
     """
 
     pickup: Deviation
@@ -78,6 +101,7 @@ class FlightMetrics:
     pickup_s: float
     drop_s: float
     landing_s: float
+    place: PlaceMetrics | None = None
 
 
 def read_truth(path: Path) -> Truth:
@@ -99,9 +123,10 @@ def read_truth(path: Path) -> Truth:
     return Truth(**columns, events=events)
 
 
-def measure(truth: Truth, target_m: float) -> FlightMetrics:
-    """Measure a flight that was to hold `target_m`.
+def measure(truth: Truth, target_m: float, corners: Array | None = None) -> FlightMetrics:
+    """Measure a flight that was to hold `target_m` and, if given, its place.
 
+    `corners` (K, 2) are the ends of the moves, m north and west of where it took off, which is the first one.
     Raises FlightFailed if nothing was picked up or dropped in the air, or too early for a hover before.
     """
     liftoff_s, pickup_s, drop_s = _liftoff(truth), *_load_changes(truth)
@@ -112,7 +137,7 @@ def measure(truth: Truth, target_m: float) -> FlightMetrics:
     landing_s = _landing(truth, target_m, drop_s)
     error = truth.z - target_m
     hover = _during(truth, pickup_s - WINDOW_S, pickup_s)
-    steady = _during(truth, pickup_s - WINDOW_S, landing_s)
+    steady = _during(truth, pickup_s - WINDOW_S, landing_s if corners is None else drop_s + WINDOW_S)
     return FlightMetrics(
         pickup=_deviation(truth, error, pickup_s),
         drop=_deviation(truth, error, drop_s),
@@ -122,7 +147,32 @@ def measure(truth: Truth, target_m: float) -> FlightMetrics:
         pickup_s=pickup_s,
         drop_s=drop_s,
         landing_s=landing_s,
+        place=None if corners is None else _place(truth, corners, pickup_s, drop_s, landing_s),
     )
+
+
+def _place(truth: Truth, corners: Array, pickup_s: float, drop_s: float, landing_s: float) -> PlaceMetrics:
+    away = np.hypot(truth.x - corners[0, 0], truth.y - corners[0, 1])
+    moving = _during(truth, drop_s + WINDOW_S, landing_s)
+    if not moving.any():
+        raise FlightFailed("the vehicle landed right after the drop: no moves")
+    path = distance_from_path(np.column_stack([truth.x, truth.y])[moving], corners)
+    return PlaceMetrics(
+        hover_rms_m=_rms(away[_during(truth, pickup_s - WINDOW_S, pickup_s)]),
+        pickup_peak_m=float(away[_during(truth, pickup_s, pickup_s + WINDOW_S)].max()),
+        drop_peak_m=float(away[_during(truth, drop_s, drop_s + WINDOW_S)].max()),
+        path_peak_m=float(path.max()),
+    )
+
+
+def distance_from_path(places: Array, corners: Array) -> Array:
+    """Distance (T,) of `places` (T, 2) from the nearest point of the line through `corners` (K, 2)."""
+    distances = []
+    for start, end in pairwise(corners):
+        side = end - start
+        share = np.clip((places - start) @ side / (side @ side), 0.0, 1.0)
+        distances.append(np.hypot(*(places - start - share[:, None] * side).T))
+    return np.asarray(np.min(distances, axis=0))
 
 
 def _rms(values: Array) -> float:

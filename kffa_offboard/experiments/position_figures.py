@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from kffa_offboard.demo.metrics import distance_from_path
 from kffa_offboard.experiments.examples import POSITION
 from kffa_offboard.experiments.figures import GREY, About, Drawn, draw, legend_above, plot
 from kffa_offboard.experiments.position_flights import CORNERS, PositionTrace, PositionTraces
-from kffa_offboard.experiments.position_results import off_the_line
 from kffa_offboard.experiments.settings import PaperSettings, PositionRing
 
 SHOWN_SEED = 0
@@ -91,7 +91,7 @@ def _draw_square(figure: Any, told: PositionRing, traces: PositionTraces) -> Non
         shown = trace.time >= told.lead_s
         place = trace.place[shown]
         plot(above, -place[:, 1], place[:, 0], label, linewidth=1.1)
-        away = off_the_line(place[:, :2], corners)
+        away = distance_from_path(place[:, :2], corners)
         plot(beside, trace.time[shown] - told.lead_s, away, label, linewidth=1.1)
     above.set_aspect("equal")
     above.set_title("(a) From above")

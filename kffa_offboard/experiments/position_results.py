@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from kffa_offboard.control import Array
 from kffa_offboard.control.controllers import ControllerName
+from kffa_offboard.demo.metrics import distance_from_path
 from kffa_offboard.experiments import metrics
 from kffa_offboard.experiments.claims import FAILS, HOLDS, OTHER, Claim, Verdict
 from kffa_offboard.experiments.examples import POSITION
@@ -91,23 +91,13 @@ def _tilt(attitude: Array) -> Array:
 def _square(told: PositionRing, trace: PositionTrace) -> dict[str, float]:
     shown = _within(trace, told.lead_s)
     after = _within(trace, told.square_drop_s)
-    away = off_the_line(trace.place[:, :2], told.step_m * np.array(CORNERS))
+    away = distance_from_path(trace.place[:, :2], told.step_m * np.array(CORNERS))
     return {
         "off_the_line_m": float(away[shown].max()),
         "off_the_line_rms_m": float(metrics.rms(away[shown])),
         "behind_m": float(_horizontal(trace)[shown].max()),
         "drop_height_m": float(np.abs(trace.place[after, 2] - told.altitude_m).max()),
     }
-
-
-def off_the_line(places: Array, corners: Array) -> Array:
-    """Distance (T,) of `places` (T, 2) from the nearest point of the line through `corners` (K, 2)."""
-    distances = []
-    for start, end in pairwise(corners):
-        side = end - start
-        share = np.clip((places - start) @ side / (side @ side), 0.0, 1.0)
-        distances.append(np.hypot(*(places - start - share[:, None] * side).T))
-    return np.asarray(np.min(distances, axis=0))
 
 
 def judge_position(results: dict[str, Any]) -> list[Claim]:

@@ -275,8 +275,8 @@ def _position_tables(found: dict[str, Any]) -> str:
             [label, *(cell(one[flight][key], 1.0, digits) for flight, key, _, digits in moving)]
             for label, one in flown
         ],
-        "A dash: not within 8 s. The LADRCs' reference passes the tracking differentiator, the cascade's does "
-        "not.",
+        "A dash: not within 8 s. The LADRCs' reference passes the tracking differentiator, the cascade's "
+        "does not.",
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kffa_offboard.demo.metrics import FlightFailed, Truth, measure, read_truth
+from kffa_offboard.demo.metrics import FlightFailed, Truth, distance_from_path, measure, read_truth
 
 LIFTOFF_S, PICKUP_S, DROP_S, LANDING_S, END_S = 3.0, 15.0, 23.0, 30.0, 40.0
 
@@ -21,7 +21,7 @@ def known_flight() -> Truth:
     z[(time >= DROP_S) & (time < DROP_S + 2.0)] += 0.05
     zero = np.zeros_like(time)
     load = np.where((time >= PICKUP_S) & (time < DROP_S), 5.0, 0.0)
-    return Truth(time, z, zero + 0.003, zero - 0.004, zero, zero + 98.0, load)
+    return Truth(time, zero, zero, z, zero + 0.003, zero - 0.004, zero, zero + 98.0, load)
 
 
 def test_peak_is_the_largest_distance_and_iae_its_integral() -> None:
@@ -103,3 +103,36 @@ def test_no_true_states_is_a_failed_flight(tmp_path: Path) -> None:
     (tmp_path / "empty.csv").write_text(HEAD)
     with pytest.raises(FlightFailed, match="holds no true states"):
         read_truth(tmp_path / "empty.csv")
+
+
+CORNERS = np.array([[0.0, 0.0], [5.0, 0.0], [5.0, -5.0]])
+
+
+def known_moves() -> Truth:
+    """3-4-5 cm off its place all the time, and from 29 s on in a corner of the way, 30 cm too far."""
+    truth = known_flight()
+    moved = truth.time_s >= 29.0
+    return replace(truth, x=np.where(moved, 5.3, 0.03), y=np.where(moved, 0.0, -0.04))
+
+
+def test_a_held_place_is_measured_from_the_take_off_and_the_way_from_its_line() -> None:
+    place = measure(known_moves(), 5.0, CORNERS).place
+    assert place is not None
+    assert place.hover_rms_m == pytest.approx(0.05)
+    assert (place.pickup_peak_m, place.drop_peak_m) == pytest.approx((0.05, 0.05))
+    assert place.path_peak_m == pytest.approx(0.3)
+
+
+def test_without_a_place_to_hold_none_is_measured() -> None:
+    assert measure(known_moves(), 5.0).place is None
+
+
+def test_the_tilt_of_moves_is_no_error_of_attitude() -> None:
+    truth = known_moves()
+    tilted = replace(truth, pitch=np.where(truth.time_s > DROP_S + 5.0, 0.3, truth.pitch))
+    assert measure(tilted, 5.0, CORNERS).attitude_rms_rad < 0.01 < measure(tilted, 5.0).attitude_rms_rad
+
+
+def test_distance_from_a_path_is_that_from_its_nearest_side() -> None:
+    places = np.array([[2.0, 0.1], [5.2, -1.0], [2.5, -2.5], [-3.0, 4.0]])
+    np.testing.assert_allclose(distance_from_path(places, CORNERS), [0.1, 0.2, 2.5, 5.0])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from kffa_offboard import cli
-from kffa_offboard.experiments import command, position_flights, position_results, settings
+from kffa_offboard.experiments import command, position_flights, settings
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "paper-results.json"
 
@@ -54,12 +54,6 @@ def test_the_square_ends_where_it_began_and_drops_its_load_on_the_second_side() 
     assert square.target.min() == pytest.approx(-5.0)
     last = np.flatnonzero(square.load_mass)[-1]
     assert square.target[last] == pytest.approx([5.0, -2.5], abs=1.5)
-
-
-def test_distance_from_the_square_is_that_from_its_nearest_side() -> None:
-    corners = 5.0 * np.array(position_flights.CORNERS)
-    places = np.array([[2.0, 0.1], [5.2, -1.0], [2.5, -2.5], [-3.0, 4.0]])
-    np.testing.assert_allclose(position_results.off_the_line(places, corners), [0.1, 0.2, 2.5, 5.0])
 
 
 def test_wind_and_noise_are_the_seeds_own_whatever_else_is_flown() -> None:

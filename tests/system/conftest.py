@@ -126,6 +126,8 @@ class LockStepFlight:
         states = np.array([row.state for row in rows])
         return Truth(
             time_s=np.array([row.time_s for row in rows]),
+            x=states[:, 0],
+            y=states[:, 1],
             z=states[:, 2],
             roll=states[:, 6],
             pitch=states[:, 7],
