@@ -4,8 +4,8 @@ A second, independent writing of what `sim-vehicle` flies (the two packages know
 only, and a test holds them together): 246 N on four motors with 50 ms of lag, mixing with priorities,
 Newton-Euler with a load held rigidly below the centre, drag relative to the air. The autopilot's part is
 PX4's body-rate loop (src/lib/rate_control: PID, the derivative on the measurement behind a 30 Hz low-pass)
-with the gains that the simulator's PX4 has; without the derivative, a load that doubles the inertia makes it
-oscillate.
+with the gains that the simulator's PX4 has; behind a softer one without derivative, a load that doubles the
+inertia makes the loops above it oscillate.
 
 Rigid state ``(12, N)``: position and velocity of the airframe's centre (world, z up), roll, pitch, yaw, body
 rates. Motors ``(4, N)`` N: front, left, rear, right.

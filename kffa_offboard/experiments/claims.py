@@ -154,8 +154,9 @@ def _overshoot(example: dict[str, Any]) -> Judged:
     return (
         "LADRC and FA-LADRC do not overshoot (target: at most 1 %).",
         "; ".join(f"{label} {value:.2f} %" for label, value in largest.items())
-        + ". KFFA-LADRC's is on yaw, where b0 of Table 3 is 1.7 times off and the Kalman filter believes it.",
-        _verdict(largest["ladrc"] <= 1.0 and largest["fa-ladrc"] <= 1.0),
+        + ". KFFA-LADRC's is on yaw, where b0 of Table 3 is 1.7 times too small and the Kalman filter "
+        "believes it; with the intensity of the other channels it would be 1.4 % (see configs/paper.toml).",
+        _verdict(max(largest.values()) <= 1.0),
     )
 
 
