@@ -108,6 +108,17 @@ def run(
     log: Annotated[
         Path | None, typer.Option(help="Write the flight log to this file (.tlog), not to log.directory.")
     ] = None,
+    fix_params: Annotated[
+        bool,
+        typer.Option(
+            "--fix-params",
+            help="Set parameters of the autopilot that are wrong for offboard control, while disarmed, and "
+            "put the old values back at the end.",
+        ),
+    ] = False,
+    trust_params: Annotated[
+        bool, typer.Option("--trust-params", help="Do not read and judge the autopilot's parameters.")
+    ] = False,
     json: Annotated[
         bool, typer.Option("--json", help="Print a summary as one JSON object at the end.")
     ] = False,
@@ -124,7 +135,21 @@ def run(
 
     if shadow and (arm or engage):
         raise UserError("--shadow only observes; leave out --arm and --engage, or --shadow")
-    overrides = Overrides(link, controller, output, arm=arm, engage=engage, shadow=shadow)
+    if fix_params and (shadow or trust_params):
+        other = "--shadow" if shadow else "--trust-params"
+        raise UserError(
+            f"--fix-params changes the vehicle's parameters, {other} does not; leave out one of them"
+        )
+    overrides = Overrides(
+        link,
+        controller,
+        output,
+        arm=arm,
+        engage=engage,
+        shadow=shadow,
+        fix_parameters=fix_params,
+        trust_parameters=trust_params,
+    )
     status = fly(load(config, overrides), RunOptions(lockstep=lockstep, log=log, json=json))
     raise typer.Exit(status)
 

@@ -18,10 +18,13 @@ from rich.console import Console
 
 from kffa_offboard.cli_status import StatusDisplay
 from kffa_offboard.config import DaemonConfig
-from kffa_offboard.config_log import flight_header
+from kffa_offboard.config_log import flight_header, parameter_keeper
+from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.link import open_link
+from kffa_offboard.mavlink.parameter_file import ParameterFile
+from kffa_offboard.mavlink.parameter_keeper import ParameterKeeper
 from kffa_offboard.mavlink.session import Session
 from kffa_offboard.mavlink.shell import RunResult, real_time_clock, run_lock_step, run_real_time
 from kffa_offboard.offboard.service import Finished, Service
@@ -47,28 +50,65 @@ def run(config: DaemonConfig, options: RunOptions) -> int:
     console = Console(stderr=True)
     clock = real_time_clock()
     link = open_link(config.link.url, clock, allow_remote=config.link.allow_remote)
+    log = _log_path(config, options)
+    parameters, changed = None, _changed_parameters(config, log)
     try:
-        log = _log_path(config, options)
         ids = config.link
         route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
-        writer = _log_writer(config, options, log, route) if log else None
+        if config.autopilot.check_parameters:
+            parameters = parameter_keeper(config, route, changed)
+        writer = _log_writer(config, options, log, route, changed) if log else None
         with writer or nullcontext(), StatusDisplay(console) as status, _stop_on_signals() as stop:
             console.print(f"waiting for a vehicle on {link.name}", soft_wrap=True, highlight=False)
-            session = Session(Service(config.service), link, route, recorder=writer, observer=status)
+            session = Session(
+                Service(config.service),
+                link,
+                route,
+                recorder=writer,
+                observer=status,
+                parameters=parameters,
+                guided_mode=config.autopilot.ardupilot_mode,
+            )
             drive = run_lock_step if options.lockstep else run_real_time
             result = drive(session, clock, stop, connect_timeout_s=config.link.connect_timeout_s)
             session.close(_reason(result))
     except KeyboardInterrupt:  # a second Ctrl-C: at once, but the log is closed
+        _say_what_is_left(parameters, changed)
         return INTERRUPTED
+    except UserError:
+        _say_what_is_left(parameters, changed)
+        raise
     finally:
         link.close()
-    return _report(console, result, log, options)
+    left = _say_what_is_left(parameters, changed)
+    status_code = _report(console, result, log, options)
+    return status_code or (FAILED if left else 0)
 
 
-def _log_writer(config: DaemonConfig, options: RunOptions, path: Path, route: Route) -> TlogWriter:
+def _changed_parameters(config: DaemonConfig, log: Path | None) -> ParameterFile:
+    """Old parameters of the vehicle: beside the logs, or here if there are none."""
+    directory = config.log.directory or (log.parent if log is not None else Path())
+    return ParameterFile(directory / f"changed-parameters-{config.link.target_system}.json")
+
+
+def _say_what_is_left(parameters: ParameterKeeper | None, file: ParameterFile) -> bool:
+    """Name the parameters that could not be put back, one line; True if there are any."""
+    changes = () if parameters is None else parameters.changes
+    if changes:
+        values = ", ".join(f"{change.name} {change.old:g} (is {change.new:g})" for change in changes)
+        print(
+            f"error: parameters not put back: {values}; the next run does it from {file.path}",
+            file=sys.stderr,
+        )
+    return bool(changes)
+
+
+def _log_writer(
+    config: DaemonConfig, options: RunOptions, path: Path, route: Route, changed: ParameterFile
+) -> TlogWriter:
     return TlogWriter(
         path,
-        header=flight_header(config, options.lockstep),
+        header=flight_header(config, options.lockstep, changed),
         system_id=route.own_system,
         component_id=route.own_component,
         part_size=config.log.part_size,

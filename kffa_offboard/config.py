@@ -6,7 +6,7 @@ Every problem of a file is reported, one line each, and nothing is opened or flo
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from math import radians
 from pathlib import Path
 from typing import Any, TypeVar
@@ -20,6 +20,7 @@ from kffa_offboard.control.controllers import ControllerName, ControllerParamete
 from kffa_offboard.control.design import design
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.address import parse_url
+from kffa_offboard.mavlink.autopilot import GuidedMode
 from kffa_offboard.offboard.settings import (
     FlightSettings,
     LimitSettings,
@@ -49,6 +50,17 @@ class Overrides:
     arm: bool = False
     engage: bool = False
     shadow: bool = False
+    fix_parameters: bool = False
+    trust_parameters: bool = False
+
+
+@dataclass(frozen=True)
+class AutopilotSettings:
+    """What is done with the autopilot's own parameters, and which mode of ArduPilot flies."""
+
+    check_parameters: bool = True
+    fix_parameters: bool = False
+    ardupilot_mode: GuidedMode = "guided"
 
 
 @dataclass(frozen=True)
@@ -84,6 +96,7 @@ class DaemonConfig:
     log : where flight logs go
     document : the tables it was made from, with what `overrides` changed in them
     overrides : what the command line said
+    autopilot : checking of its parameters
     """
 
     path: Path
@@ -92,6 +105,7 @@ class DaemonConfig:
     log: LogSettings
     document: dict[str, Any]
     overrides: Overrides
+    autopilot: AutopilotSettings = field(default_factory=AutopilotSettings)
 
 
 def bundled(name: str) -> Path:
@@ -144,7 +158,13 @@ def build(document: dict[str, Any], path: Path, overrides: Overrides) -> DaemonC
         raise ConfigError(file, explain(error, ConfigFile)) from error
     try:
         return DaemonConfig(
-            path, _link(tables), _service(tables, overrides), _log(tables), document, overrides
+            path,
+            _link(tables),
+            _service(tables, overrides),
+            _log(tables),
+            document,
+            overrides,
+            _autopilot(tables, overrides),
         )
     except ValueError as error:
         raise ConfigError(file, [str(error)]) from error
@@ -221,4 +241,14 @@ def _log(tables: ConfigFile) -> LogSettings:
     return LogSettings(
         None if directory is None else Path(directory).expanduser(),
         None if size is None else round(size * 1e6),
+    )
+
+
+def _autopilot(tables: ConfigFile, overrides: Overrides) -> AutopilotSettings:
+    table = tables.autopilot
+    return AutopilotSettings(
+        check_parameters=(table.check_parameters or overrides.fix_parameters)
+        and not overrides.trust_parameters,
+        fix_parameters=(table.fix_parameters or overrides.fix_parameters) and not overrides.trust_parameters,
+        ardupilot_mode=table.ardupilot_mode,
     )

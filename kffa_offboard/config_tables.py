@@ -76,6 +76,7 @@ class TelemetryTable(Table):
     position_hz: Rate = _TELEMETRY.position_hz
     target_hz: Rate = _TELEMETRY.target_hz
     status_hz: Rate = _TELEMETRY.status_hz
+    heartbeat_hz: Rate = _TELEMETRY.heartbeat_hz
     minimum_attitude_hz: Rate = _TELEMETRY.minimum_attitude_hz
     minimum_position_hz: Rate = _TELEMETRY.minimum_position_hz
     rate_fraction: Fraction = _TELEMETRY.rate_fraction
@@ -167,6 +168,20 @@ class FailsafeTable(Table):
     """
 
     action: FailsafeAction = "stop"
+
+
+class AutopilotTable(Table):
+    """`[autopilot]`: what is done with the autopilot's own parameters, and which mode of ArduPilot flies."""
+
+    check_parameters: bool = True
+    fix_parameters: bool = False
+    ardupilot_mode: Literal["guided", "guided_nogps"] = "guided"
+
+    @model_validator(mode="after")
+    def _fixing_needs_checking(self) -> AutopilotTable:
+        if self.fix_parameters and not self.check_parameters:
+            raise ValueError("fix_parameters = true needs check_parameters = true")
+        return self
 
 
 class LogTable(Table):
@@ -329,5 +344,6 @@ class ConfigFile(Table):
     flight: FlightTable = FlightTable()
     position: PositionTable = PositionTable()
     failsafe: FailsafeTable = FailsafeTable()
+    autopilot: AutopilotTable = AutopilotTable()
     scenario: ScenarioTable = ScenarioTable()
     log: LogTable = LogTable()

@@ -40,9 +40,11 @@ class Header:
     ----------
     version : of kffa-offboard
     configuration : tables of the TOML file, with what the command line changed
-    options : what the command line said beyond the file ("arm", "engage", "shadow")
+    options : what the command line said beyond the file ("arm", "engage", ...)
     lockstep : the simulator kept the time
     libraries : versions of what takes part in the arithmetic
+    parameters_checked : the vehicle's parameters were read and judged
+    changed_parameters : the file with which an earlier run had left old values behind, if there was one
     part : 1 for the first file of a flight, then 2, ...
     """
 
@@ -51,6 +53,8 @@ class Header:
     options: dict[str, bool]
     lockstep: bool = False
     libraries: dict[str, str] = field(default_factory=dict)
+    parameters_checked: bool = False
+    changed_parameters: str | None = None
     part: int = 1
 
 

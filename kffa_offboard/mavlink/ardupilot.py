@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.mavlink.autopilot import Autopilot
+from kffa_offboard.mavlink.autopilot import NEEDED_MESSAGES, Autopilot, GuidedMode
 from kffa_offboard.mavlink.commands import EncodingError
 from kffa_offboard.mavlink.component import Message, Route
+from kffa_offboard.mavlink.parameter_check_ardupilot import thrust_is_climb_rate
+from kffa_offboard.mavlink.parameters import name_of
 from kffa_offboard.mavlink.telemetry import TelemetryDecoder
-from kffa_offboard.offboard.events import AttitudeTarget, Event, ModeKind, StatusReceived, TargetReported
+from kffa_offboard.offboard.events import AttitudeTarget, Event, ModeKind, TargetReported
 
 LOG = logging.getLogger(__name__)
 
@@ -33,52 +35,40 @@ _KINDS = {
 }
 _NUMBERS = {ModeKind.OFFBOARD: 4, ModeKind.HOLD: 17, ModeKind.LAND: 9}
 
+GUIDED_NOGPS = 20
 LOOP_RATE_HZ = 400.0
 """SCHED_LOOP_RATE as it comes. A message may be asked for at 0.8 of it, in whole milliseconds."""
 
-SHORTEST_INTERVAL_MS = math.floor(1000.0 / (0.8 * LOOP_RATE_HZ))
-REQUESTS_PER_PARAMETER = 5
+LONGEST_TRIED_MS = 20
+"""A needed message that is DENIED is asked for again, 1 ms slower each time, up to this interval."""
 
-_THRUST_AS_THRUST = 8
-
-
-def _guided_options(value: float) -> str | None:
-    if int(value) & _THRUST_AS_THRUST:
-        return None
-    return f"GUID_OPTIONS {value:g} makes thrust a climb rate: add {_THRUST_AS_THRUST} to it"
-
-
-def _guided_timeout(value: float) -> str | None:
-    return f"GUID_TIMEOUT {value:g} s flies stale rates that long: set 0.5" if value > 0.5 else None
+_DATA_STREAMS = (
+    (mavlink.MAV_DATA_STREAM_EXTRA1, mavlink.MAVLINK_MSG_ID_ATTITUDE),
+    (mavlink.MAV_DATA_STREAM_POSITION, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED),
+    (mavlink.MAV_DATA_STREAM_EXTRA2, mavlink.MAVLINK_MSG_ID_VFR_HUD),
+)
+"""REQUEST_DATA_STREAM of firmware without SET_MESSAGE_INTERVAL: a group, and its message that we want."""
 
 
-def _must_be_zero(name: str) -> Callable[[float], str | None]:
-    return lambda value: f"{name} {value:g} alters thrust setpoints: set 0" if value != 0.0 else None
-
-
-PARAMETER_CHECKS: dict[str, Callable[[float], str | None]] = {
-    "GUID_OPTIONS": _guided_options,
-    "GUID_TIMEOUT": _guided_timeout,
-    "ATC_ANGLE_BOOST": _must_be_zero("ATC_ANGLE_BOOST"),
-    "PILOT_THR_FILT": _must_be_zero("PILOT_THR_FILT"),
-}
-"""Parameters read at connect, and what is wrong with a value (None: nothing)."""
+def shortest_interval_ms(loop_rate_hz: float) -> int:
+    """Shortest message interval of a loop rate: 0.8 of it, in whole milliseconds (cap_message_interval)."""
+    return max(1, math.floor(1000.0 / (0.8 * loop_rate_hz)))
 
 
 class ArduPilot(Autopilot):
     """ArduCopter's side of the interface.
 
-    It reads `PARAMETER_CHECKS` from the vehicle after the first heartbeats and reports what is wrong
-    as `StatusReceived`. Where GUID_OPTIONS is known to turn thrust into a climb rate, setpoints are
-    refused: a thrust of 0.7 would be a climb at full speed.
+    Where GUID_OPTIONS is known to turn thrust into a climb rate, setpoints are refused, whatever was
+    found at connect: a thrust of 0.7 would be a climb at full speed.
     """
 
     firmware = "ardupilot"
 
-    def __init__(self, route: Route, telemetry: TelemetryDecoder) -> None:
-        super().__init__(route, telemetry)
-        self._parameters: dict[str, float] = {}
-        self._asked = 0
+    def __init__(self, route: Route, telemetry: TelemetryDecoder, guided_mode: GuidedMode = "guided") -> None:
+        super().__init__(route, telemetry, guided_mode)
+        self._guided_options: float | None = None
+        self._shortest_ms = shortest_interval_ms(LOOP_RATE_HZ)
+        self._has_intervals = True
         self._requests: list[Message] = []
 
     def mode_of(self, custom_mode: int) -> tuple[ModeKind, str]:
@@ -87,18 +77,20 @@ class ArduPilot(Autopilot):
         return _KINDS.get(name, ModeKind.OTHER), name
 
     def mode_numbers(self, kind: ModeKind) -> tuple[int, int]:
-        """See `Autopilot`. Offboard is GUIDED."""
+        """See `Autopilot`. Offboard is GUIDED, or GUIDED_NOGPS if so configured."""
         if kind not in _NUMBERS:
             raise EncodingError(f"mode {kind.value!r} is no mode that can be asked for; not sent")
+        if kind is ModeKind.OFFBOARD and self._guided_mode == "guided_nogps":
+            return GUIDED_NOGPS, 0
         return _NUMBERS[kind], 0
 
     def interval_us(self, rate_hz: float) -> int:
         """See `Autopilot`. Whole milliseconds, rounded to the faster rate; never one that is DENIED."""
         interval_ms = math.floor(1000.0 / rate_hz + 1e-9)
-        if interval_ms < SHORTEST_INTERVAL_MS:
-            highest = 1000.0 / SHORTEST_INTERVAL_MS
+        if interval_ms < self._shortest_ms:
+            highest = 1000.0 / self._shortest_ms
             LOG.warning("ArduPilot sends at most %.0f Hz; asking for that instead of %g Hz", highest, rate_hz)
-        return 1000 * max(interval_ms, SHORTEST_INTERVAL_MS)
+        return 1000 * max(interval_ms, self._shortest_ms)
 
     def trusted(self, target: TargetReported) -> TargetReported:
         """See `Autopilot`. It reports what it really commands."""
@@ -112,31 +104,43 @@ class ArduPilot(Autopilot):
     def decode(self, message: Message) -> list[Event]:
         """See `Autopilot`."""
         match message.get_type():
-            case "PARAM_VALUE":
-                return self._parameter(message)
-            case "HEARTBEAT" if self._asked < REQUESTS_PER_PARAMETER:
-                self._asked += 1
-                self._requests += [
-                    mavlink.MAVLink_param_request_read_message(
-                        self._route.target_system, self._route.target_component, name.encode(), -1
-                    )
-                    for name in PARAMETER_CHECKS
-                    if name not in self._parameters
-                ]
+            case "PARAM_VALUE" if name_of(message) == "GUID_OPTIONS":
+                self._guided_options = message.param_value
+            case "PARAM_VALUE" if name_of(message) == "SCHED_LOOP_RATE" and message.param_value > 0.0:
+                self._shortest_ms = shortest_interval_ms(message.param_value)
         return super().decode(message)
 
-    def _parameter(self, message: Message) -> list[Event]:
-        """Judge a parameter when its value is new; a full download repeats values, and is not news."""
-        name, value = message.param_id, message.param_value
-        if name not in PARAMETER_CHECKS or self._parameters.get(name) == value:
-            return []
-        self._parameters[name] = value
-        problem = PARAMETER_CHECKS[name](value)
-        return [] if problem is None else [StatusReceived(mavlink.MAV_SEVERITY_WARNING, problem)]
+    def rate_requests(self, message_ids: Sequence[int]) -> list[Message]:
+        """See `Autopilot`. Old firmware has only groups of messages (REQUEST_DATA_STREAM), in whole Hz."""
+        if self._has_intervals:
+            return super().rate_requests(message_ids)
+        route = self._route
+        return [
+            mavlink.MAVLink_request_data_stream_message(
+                route.target_system, route.target_component, group, math.ceil(self._rates[message_id]), 1
+            )
+            for group, message_id in _DATA_STREAMS
+            if message_id in message_ids
+        ]
+
+    def rate_refused(self, message_id: int, result: int) -> bool:
+        """See `Autopilot`. Ask again for what can be had."""
+        if result == mavlink.MAV_RESULT_UNSUPPORTED:
+            if self._has_intervals:
+                self._has_intervals = False
+                self._unanswered_rates.clear()
+                self._requests += self.rate_requests(list(self._rates))
+            return True
+        if result == mavlink.MAV_RESULT_DENIED and message_id in NEEDED_MESSAGES:
+            longer_ms = self.interval_us(self._rates[message_id]) // 1000 + 1
+            if longer_ms <= LONGEST_TRIED_MS:
+                self._shortest_ms = max(self._shortest_ms, longer_ms)
+                self._requests += self.rate_requests([message_id])
+                return True
+        return super().rate_refused(message_id, result)
 
     def _attitude_target(self, target: AttitudeTarget, time_us: int) -> Message:
-        options = self._parameters.get("GUID_OPTIONS")
-        problem = None if options is None else _guided_options(options)
-        if problem is not None:
-            raise EncodingError(f"{problem}; not sent")
+        options = self._guided_options
+        if options is not None and thrust_is_climb_rate(options):
+            raise EncodingError(f"GUID_OPTIONS {options:g} makes thrust a climb rate: add 8 to it; not sent")
         return super()._attitude_target(target, time_us)

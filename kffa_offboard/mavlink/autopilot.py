@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Sequence
 from typing import ClassVar, Literal, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -39,7 +41,12 @@ _ACTIONS: dict[int, Action] = {
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: "message-rate",
     mavlink.MAV_CMD_DO_GRIPPER: "gripper",
 }
+GuidedMode: TypeAlias = Literal["guided", "guided_nogps"]
+"""Which of ArduPilot's two modes that take SET_ATTITUDE_TARGET is asked for."""
+
 HIGHEST_RATE_HZ = 1000.0
+NEEDED_MESSAGES = (mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED)
+"""Control is impossible without; the other messages are asked for and not insisted on."""
 
 
 class Autopilot(ABC):
@@ -49,9 +56,14 @@ class Autopilot(ABC):
     """
 
     firmware: ClassVar[Firmware]
+    keeps_heartbeat_rate: ClassVar[bool] = False
 
-    def __init__(self, route: Route, telemetry: TelemetryDecoder) -> None:
+    def __init__(self, route: Route, telemetry: TelemetryDecoder, guided_mode: GuidedMode = "guided") -> None:
         self._route = route
+        self._guided_mode: GuidedMode = guided_mode
+        self._rates: dict[int, float] = {}
+        self._unanswered_rates: deque[int] = deque()
+        self._refused_rates: set[int] = set()
         self._telemetry = telemetry
         self._arming = True
         self._custom_mode = 0
@@ -103,6 +115,8 @@ class Autopilot(ABC):
         if not self._route.addresses_us(message.target_system, message.target_component):
             return []
         action = _ACTIONS.get(message.command, "other")
+        if action == "message-rate" and self._rate_answered(message.result):
+            return []
         if message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM:
             action = "arm" if self._arming else "disarm"
         return [
@@ -147,14 +161,43 @@ class Autopilot(ABC):
             mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: request.target_hz,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: request.status_hz,
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: request.status_hz,
+            mavlink.MAVLINK_MSG_ID_HEARTBEAT: request.heartbeat_hz,
         }
+        if self.keeps_heartbeat_rate:
+            del rates[mavlink.MAVLINK_MSG_ID_HEARTBEAT]
         for rate in rates.values():
             if not (math.isfinite(rate) and 0.0 < rate <= HIGHEST_RATE_HZ):
                 raise EncodingError(f"message rate {rate:g} Hz is outside 0..{HIGHEST_RATE_HZ:g}; not sent")
+        self._rates = rates
+        self._unanswered_rates.clear()
+        return self.rate_requests(
+            [message_id for message_id in rates if message_id not in self._refused_rates]
+        )
+
+    def rate_requests(self, message_ids: Sequence[int]) -> list[Message]:
+        """Ask for messages at the rates that the service wants."""
+        self._unanswered_rates.extend(message_ids)
         return [
-            commands.message_interval(self._route, message_id, self.interval_us(rate))
-            for message_id, rate in rates.items()
+            commands.message_interval(self._route, message_id, self.interval_us(self._rates[message_id]))
+            for message_id in message_ids
         ]
+
+    def _rate_answered(self, result: int) -> bool:
+        """Take in an answer to SET_MESSAGE_INTERVAL; True if the service need not know.
+
+        COMMAND_ACK does not say which message it is about, but answers come in the order of the requests.
+        """
+        message_id = self._unanswered_rates.popleft() if self._unanswered_rates else None
+        if message_id is None or result == mavlink.MAV_RESULT_ACCEPTED:
+            return False
+        return self.rate_refused(message_id, result)
+
+    def rate_refused(self, message_id: int, result: int) -> bool:
+        """A message is not sent at the rate asked for; True if the service need not know."""
+        if message_id in NEEDED_MESSAGES:
+            return False
+        self._refused_rates.add(message_id)  # an older firmware does not have it, or keeps its own rate
+        return True
 
 
 def result_name(result: int) -> str:

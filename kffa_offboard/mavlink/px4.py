@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from kffa_offboard.mavlink.autopilot import Autopilot
+from kffa_offboard.mavlink.autopilot import Autopilot, GuidedMode
 from kffa_offboard.mavlink.commands import EncodingError
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.telemetry import TelemetryDecoder
@@ -69,9 +69,10 @@ class Px4(Autopilot):
     """PX4's side of the interface."""
 
     firmware = "px4"
+    keeps_heartbeat_rate = True  # SET_MESSAGE_INTERVAL for HEARTBEAT fails in every mode of the link
 
-    def __init__(self, route: Route, telemetry: TelemetryDecoder) -> None:
-        super().__init__(route, telemetry)
+    def __init__(self, route: Route, telemetry: TelemetryDecoder, guided_mode: GuidedMode = "guided") -> None:
+        super().__init__(route, telemetry, guided_mode)
         self._sends_attitude = False
         self._heartbeats_until_known = 0
 

@@ -12,8 +12,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
+from kffa_offboard.mavlink import parameter_keeper
+from kffa_offboard.mavlink.autopilot import GuidedMode
 from kffa_offboard.mavlink.commands import EncodingError, is_timesync_request, timesync_answer
 from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
+from kffa_offboard.mavlink.parameter_file import ChangedParameter
+from kffa_offboard.mavlink.parameter_keeper import ParameterKeeper
 from kffa_offboard.mavlink.transport import Datagram, Link
 from kffa_offboard.mavlink.vehicle import Vehicle
 from kffa_offboard.offboard.events import (
@@ -92,6 +96,10 @@ class Session:
         Where frames and signals are recorded; who is told of events and outputs. Optional.
     on_connected
         Events handed to the service right after the vehicle's first heartbeat.
+    parameters
+        Reads and judges the vehicle's parameters; without it nothing is asked and nothing refused.
+    guided_mode
+        The mode of ArduPilot in which to fly.
 
     """
 
@@ -104,6 +112,8 @@ class Session:
         recorder: Recorder | None = None,
         observer: Observer | None = None,
         on_connected: Sequence[Event] = (),
+        parameters: ParameterKeeper | None = None,
+        guided_mode: GuidedMode = "guided",
     ) -> None:
         self.service = service
         self.link = link
@@ -114,11 +124,12 @@ class Session:
         self.heard: set[tuple[int, int]] = set()
         self._time_us: int | None = None
         self._component = Component(route)
-        self._vehicle = Vehicle(route)
+        self._vehicle = Vehicle(route, guided_mode)
         self._parser = FrameParser(link.keeps_frames_whole)
         self._recorder = recorder
         self._observer = observer
         self._on_connected = tuple(on_connected)
+        self._parameters = parameters
 
     def read(self, datagram: Datagram) -> list[Message]:
         """Messages in a datagram. The first one of the target ties the link to its sender."""
@@ -137,6 +148,9 @@ class Session:
         if self.route.from_target(message):
             self.counters.telemetry_received += 1
         for event in self._vehicle.decode(message):
+            if isinstance(event, HeartbeatReceived) and self._parameters is not None:
+                self._parameters.heartbeat(time_us, event)
+                self._follow_parameters(time_us)
             self.tell(time_us, event)
             if isinstance(event, HeartbeatReceived) and not self.connected:
                 self.connected = True
@@ -144,6 +158,10 @@ class Session:
                     self.tell(time_us, waiting)
         for request in self._vehicle.requests():
             self._transmit(time_us, request)
+        if self._parameters is not None and self.route.from_target(message):
+            if message.get_type() in parameter_keeper.MESSAGES:
+                self._parameters.receive(time_us, message)
+            self._follow_parameters(time_us)
 
     def tell(self, time_us: int, event: Event) -> None:
         """Do what is due before `time_us`, then hand an event to the service and send what it answers."""
@@ -152,17 +170,34 @@ class Session:
         self._dispatch(time_us, self.service.handle(time_us, event))
 
     def advance(self, time_us: int) -> None:
-        """Let the service do everything that is due up to `time_us`, each at its own time, and send it."""
+        """Do everything that is due up to `time_us`, each at its own time, and send it."""
         if self._time_us is None:
             if self._recorder is not None:
                 self._recorder.write_begin(time_us)
             self._dispatch(time_us, self.service.advance(time_us))
         self._time_us = time_us
-        while self.service.finished is None:
-            due_us = self.service.next_deadline()
-            if due_us is None or due_us > time_us:
-                return
-            self._dispatch(due_us, self.service.advance(due_us))
+        while (due_us := self.next_deadline()) is not None and due_us <= time_us:
+            if self.service.finished is None:
+                self._dispatch(due_us, self.service.advance(due_us))
+            if self._parameters is not None:
+                self._parameters.advance(due_us)
+                self._follow_parameters(due_us)
+
+    def next_deadline(self) -> int | None:
+        """When `advance` must be called next, us; None if nothing is due without an event."""
+        service = self.service.next_deadline() if self.service.finished is None else None
+        own = None if self._parameters is None else self._parameters.due_us()
+        return min((due for due in (service, own) if due is not None), default=None)
+
+    @property
+    def done(self) -> bool:
+        """The service has finished, and the vehicle's parameters are what they were."""
+        return self.service.finished is not None and (self._parameters is None or self._parameters.done)
+
+    @property
+    def changed_parameters(self) -> tuple[ChangedParameter, ...]:
+        """What is changed on the vehicle and not (yet) put back."""
+        return () if self._parameters is None else self._parameters.changes
 
     def request(self, time_us: int, request: EngageRequested | ReleaseRequested) -> None:
         """Tell the service what the daemon's own process asks for, and record it."""
@@ -171,10 +206,31 @@ class Session:
             self._recorder.write_request(time_us, request)
         self.tell(time_us, request)
 
+    def put_back(self, time_us: int) -> bool:
+        """Begin to put the vehicle's parameters back, whatever the service does; True when that is over."""
+        if self._parameters is None:
+            return True
+        self._parameters.finish(time_us)
+        self._follow_parameters(time_us)
+        return self._parameters.done
+
     def close(self, reason: str) -> None:
         """Record that the run is over."""
         if self._recorder is not None and self._time_us is not None:
             self._recorder.write_end(self._time_us, reason, self.counters.frames_dropped)
+
+    def _follow_parameters(self, time_us: int) -> None:
+        """Do what the parameter keeper wants done."""
+        if self._parameters is None:
+            return
+        if self.service.finished is not None:
+            self._parameters.finish(time_us)
+        todo = self._parameters.take()
+        for message in todo.messages:
+            self._transmit(time_us, message)
+        for event in todo.events:
+            self.tell(time_us, event)
+        self._dispatch(time_us, todo.announcements)
 
     def answer_timesync(self, time_us: int, request: Message, own_time_ns: int) -> None:
         """Answer a TIMESYNC request of the target; others are not ours to answer."""

@@ -66,24 +66,24 @@ def run_real_time(
     """
     started_us = clock()
     let_go_by_us: int | None = None
-    while session.service.finished is None:
+    while not session.done:
         now_us = clock()
         if stop.is_set() and let_go_by_us is None:
             let_go_by_us = now_us + round(RELEASE_LIMIT_S * 1e6) if session.connected else now_us
             session.request(now_us, ReleaseRequested("stop requested"))
             continue
-        if let_go_by_us is not None and now_us >= let_go_by_us:
+        if let_go_by_us is not None and now_us >= let_go_by_us and session.put_back(now_us):
             break
         if not session.connected and now_us - started_us >= connect_timeout_s * 1e6:
             raise no_vehicle(session, connect_timeout_s)
         _receive(session, _time_to_sleep(session, now_us))
-        if session.service.finished is None:
+        if not session.done:
             session.advance(clock())
     return RunResult(session.counters, session.service.finished, stop.is_set(), session.refusal)
 
 
 def _time_to_sleep(session: Session, now_us: int) -> float:
-    deadline_us = session.service.next_deadline()
+    deadline_us = session.next_deadline()
     if deadline_us is None:
         return LONGEST_SLEEP_S
     return min(max((deadline_us - now_us) / 1e6, 0.0), LONGEST_SLEEP_S)
@@ -182,7 +182,7 @@ class _LockStep:
             session.request(time_us, ReleaseRequested("stop requested"))
         pass_barrier(session, time_us, request)
         overdue = self._let_go_by_us is not None and time_us >= self._let_go_by_us
-        self.ended = session.service.finished is not None or overdue
+        self.ended = session.done or (overdue and session.put_back(time_us))
 
 
 def no_vehicle(session: Session, timeout_s: float) -> UserError:

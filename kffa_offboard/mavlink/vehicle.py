@@ -9,7 +9,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink import commands
 from kffa_offboard.mavlink.ardupilot import ArduPilot
-from kffa_offboard.mavlink.autopilot import Autopilot
+from kffa_offboard.mavlink.autopilot import Autopilot, GuidedMode
 from kffa_offboard.mavlink.commands import EncodingError
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.px4 import Px4
@@ -42,8 +42,9 @@ class Vehicle:
     heartbeat has told which firmware it is.
     """
 
-    def __init__(self, route: Route) -> None:
+    def __init__(self, route: Route, guided_mode: GuidedMode = "guided") -> None:
         self._route = route
+        self._guided_mode: GuidedMode = guided_mode
         self._autopilot: Autopilot | None = None
         self._identity: tuple[int, int] | None = None
         self._text_id = 0
@@ -90,7 +91,8 @@ class Vehicle:
         identity = (heartbeat.autopilot, heartbeat.type)
         if self._identity is None:
             self._check_supported(heartbeat)
-            self._autopilot = _AUTOPILOTS[heartbeat.autopilot](self._route, TelemetryDecoder())
+            kind = _AUTOPILOTS[heartbeat.autopilot]
+            self._autopilot = kind(self._route, TelemetryDecoder(), self._guided_mode)
             self._identity = identity
         elif identity != self._identity:
             LOG.warning(

@@ -15,6 +15,7 @@ from typing import Literal, TypeAlias
 
 Vector3: TypeAlias = tuple[float, float, float]
 Firmware: TypeAlias = Literal["px4", "ardupilot"]
+ParameterSeverity: TypeAlias = Literal["unsafe", "warning", "information"]
 
 
 class ModeKind(Enum):
@@ -111,6 +112,23 @@ class StatusReceived:
 
 
 @dataclass(frozen=True, slots=True)
+class ParameterProblem:
+    """What is wrong with one of the autopilot's parameters, and what to set. "unsafe" forbids engaging."""
+
+    name: str
+    severity: ParameterSeverity
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class ParametersChecked:
+    """The autopilot's parameters were judged; `complete` is False while they are being read."""
+
+    problems: tuple[ParameterProblem, ...]
+    complete: bool = True
+
+
+@dataclass(frozen=True, slots=True)
 class EngageRequested:
     """Somebody (the command line or a MAVLink command) asks the daemon to take control."""
 
@@ -131,6 +149,7 @@ Event: TypeAlias = (
     | LandedStateReported
     | CommandAnswered
     | StatusReceived
+    | ParametersChecked
     | EngageRequested
     | ReleaseRequested
 )
@@ -158,6 +177,7 @@ class RequestMessageRates:
     position_hz: float
     target_hz: float
     status_hz: float
+    heartbeat_hz: float = 5.0
 
 
 @dataclass(frozen=True, slots=True)

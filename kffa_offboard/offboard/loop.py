@@ -22,6 +22,8 @@ from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry, reported_target, reported_thrust
 
+THRUST_MEMORY_S = 0.3
+
 
 @dataclass(frozen=True, slots=True)
 class Blend:
@@ -42,6 +44,7 @@ class LoopState:
     altitude : m, estimate
     hold_altitude : m, where the vehicle comes to rest if it is told to hold now
     vertical_thrust : last command on the altitude channel
+    mean_thrust : collective thrust of the setpoints, averaged over `THRUST_MEMORY_S`
     sent, sent_us : last setpoint of this engagement and when; None before the first
     blend : None outside an engagement in the air
     horizontal : the position ring, None without one
@@ -52,6 +55,7 @@ class LoopState:
     altitude: float
     hold_altitude: float
     vertical_thrust: float
+    mean_thrust: float = 0.0
     sent: AttitudeTarget | None = None
     sent_us: int = 0
     blend: Blend | None = None
@@ -120,7 +124,7 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
 
 def forget_sent(loop: LoopState) -> LoopState:
     """Nothing has been sent in the engagement that begins, or the one that was has ended."""
-    return replace(loop, sent=None, blend=None)
+    return replace(loop, sent=None, blend=None, mean_thrust=0.0)
 
 
 def _measurement(known: Telemetry) -> Array:
@@ -218,10 +222,22 @@ def step_loop(
     applied = sent if order.acting else own
     controller = controllers.with_applied(parameters, controller, applied)
     loop = replace(
-        loop, controller=controller, vertical_thrust=float(sent[3]), sent=checked.target, sent_us=time_us
+        loop,
+        controller=controller,
+        vertical_thrust=float(sent[3]),
+        mean_thrust=_averaged(loop, checked.target.thrust, since),
+        sent=checked.target,
+        sent_us=time_us,
     )
     limited = replace(output, saturated=output.saturated | (sent != wanted))
     return loop, LoopStep(checked.target, _signals(time_us, order, dt, measured, limited, sent, applied))
+
+
+def _averaged(loop: LoopState, thrust: float, dt: float) -> float:
+    """First-order average of the setpoints' thrust, beginning with the first of an engagement."""
+    if loop.sent is None:
+        return thrust
+    return thrust + (loop.mean_thrust - thrust) * exp(-dt / THRUST_MEMORY_S)
 
 
 def _wish(

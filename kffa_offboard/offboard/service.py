@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from kffa_offboard.offboard import events, telemetry
+from kffa_offboard.offboard import events, parameters, telemetry
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
 from kffa_offboard.offboard.horizontal import astray, position_jump
@@ -152,7 +152,11 @@ class Service(Session):
         self._request_us = time_us + microseconds(wanted.request_interval_s)
         self._emit(
             events.RequestMessageRates(
-                wanted.attitude_hz, wanted.position_hz, wanted.target_hz, wanted.status_hz
+                wanted.attitude_hz,
+                wanted.position_hz,
+                wanted.target_hz,
+                wanted.status_hz,
+                wanted.heartbeat_hz,
             )
         )
 
@@ -188,6 +192,9 @@ class Service(Session):
                 self._engage(time_us)
             case events.ReleaseRequested():
                 self._release(time_us, event.reason)
+            case events.ParametersChecked():
+                self._emit(*parameters.announcements(self._parameters, event))
+                self._parameters = event
             case events.StatusReceived():
                 pass  # the log has it
 
@@ -245,6 +252,7 @@ class Service(Session):
     def _try_ready(self, time_us: int) -> None:
         if (
             self._loop is not None
+            and self._parameters.complete
             and telemetry.not_ready(self.settings.telemetry, self._known, time_us) is None
         ):
             self.state = State.READY

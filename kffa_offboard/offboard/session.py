@@ -9,8 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from kffa_offboard.offboard import events, sequence, telemetry
+from kffa_offboard.offboard import events, parameters, sequence, telemetry
 from kffa_offboard.offboard.events import Announce, ModeKind, Output, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.farewell import farewell
 from kffa_offboard.offboard.flight import (
     Ending,
     FlightState,
@@ -66,6 +67,7 @@ class Session:
         self._now_us: int | None = None
         self._outputs: list[Output] = []
         self._known = telemetry.Telemetry()
+        self._parameters = events.ParametersChecked(())
         self._loop: LoopState | None = None
         self._flight: FlightState | None = None
         self._engagement: Engagement | None = None
@@ -121,6 +123,9 @@ class Session:
             return "finished; start the daemon again"
         if self.settings.shadow:
             return "shadow mode"
+        unsafe = parameters.unsafe(self._parameters)
+        if unsafe is not None:
+            return unsafe
         if self.state is State.WAITING:
             return telemetry.not_ready(self.settings.telemetry, self._known, time_us) or "not ready"
         if self.state is not State.READY:
@@ -140,6 +145,9 @@ class Session:
         refusal = self._refusal(time_us)
         if refusal is not None:
             self._say(Severity.WARNING, f"not engaged: {refusal}")
+            forbidden = self._parameters.complete and parameters.unsafe(self._parameters) == refusal
+            if forbidden and self.settings.engage:
+                self._finish(Finished(False, f"not engaged: {refusal}"))
             return
         known = self._known
         grounded = self._grounded(time_us)
@@ -335,6 +343,7 @@ class Session:
             self._begin_release(time_us, retry, Finished(False, "disarming was refused"))
         else:
             reason = f"{request.mode.name} not confirmed; setpoints stopped"
+            self._say_farewell()
             self._finish(Finished(False, reason))
 
     # ------------------------------------------------------------------------- failsafe
@@ -353,6 +362,7 @@ class Session:
     def _failsafe(self, time_us: int, reason: str) -> None:
         """Give up control in the configured way."""
         request = self._failsafe_request()
+        self._say_farewell()
         self._let_go(State.FAILSAFE)
         self._say(Severity.CRITICAL, f"failsafe: {reason}")
         self._outcome = Finished(False, f"failsafe: {reason}")
@@ -362,6 +372,11 @@ class Session:
         timing = self.settings.sequence
         self._retry = begin_retry(request, time_us, timing.hold_retry_s, timing.hold_timeout_s)
         self._run_release(time_us)
+
+    def _say_farewell(self) -> None:
+        """The autopilot flies the last setpoint on until it notices our silence: let that be a level one."""
+        if self._engagement is None or sequence.mode_granted(self._engagement):
+            self._emit(*farewell(self.settings, self._loop, self._flight, self._known))
 
     def _failsafe_request(self) -> SetMode | SetArmed | None:
         """On the ground disarm what was armed here; in the air the configured mode, if any."""

@@ -34,7 +34,7 @@ class TelemetrySettings:
 
     Attributes
     ----------
-    attitude_hz, position_hz, target_hz, status_hz : rates that are asked for
+    attitude_hz, position_hz, target_hz, status_hz, heartbeat_hz : rates that are asked for
     minimum_attitude_hz, minimum_position_hz : `rate_fraction` of these must arrive before "ready"
     timeout_s, position_timeout_s, heartbeat_timeout_s : longest silence, by arrival time
     settle_time_s : unbroken telemetry needed for the observers to settle
@@ -47,6 +47,7 @@ class TelemetrySettings:
     position_hz: float = 100.0
     target_hz: float = 20.0
     status_hz: float = 5.0
+    heartbeat_hz: float = 5.0
     minimum_attitude_hz: float = 50.0
     minimum_position_hz: float = 25.0
     rate_fraction: float = 0.8

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.config import DaemonConfig
+from kffa_offboard.config_log import recorded_keeper
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.mavlink.commands import is_timesync_request
 from kffa_offboard.mavlink.component import Route
@@ -75,11 +76,18 @@ class _Collector:
 
 
 def replay(recording: Recording, config: DaemonConfig) -> Replayed:
-    """Drive the service of `config` through everything that came in, at the times when it came."""
+    """Drive the session of `config` through everything that came in, at the times when it came."""
     ids = config.link
     route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
     collector = _Collector(route)
-    session = Session(Service(config.service), _NoLink(), route, recorder=collector)
+    session = Session(
+        Service(config.service),
+        _NoLink(),
+        route,
+        recorder=collector,
+        parameters=recorded_keeper(recording.header, config, route, recording.path),
+        guided_mode=config.autopilot.ardupilot_mode,
+    )
     lockstep = recording.header.lockstep
     session.advance(recording.begin_us)
     for time_us, item in recording.incoming:

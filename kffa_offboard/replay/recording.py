@@ -31,12 +31,14 @@ class Recording:
 
     Attributes
     ----------
+    path : the (first) file
     header, begin_us : how and when the run began
     incoming : received messages and own requests, in order
     sent, signals : frames that went out, and frames of the controller's inner signals, in order
     end, end_us : how and when the run ended; None and the last record's time if the log breaks off
     """
 
+    path: Path
     header: Header
     begin_us: int
     incoming: list[Incoming] = field(repr=False)
@@ -131,6 +133,7 @@ class _Reader:
         if self._header is None:
             raise UserError(f"flight log {self._path}: is empty; there is nothing to replay")
         return Recording(
+            self._path,
             self._header,
             self._begin_us,
             self._incoming,

@@ -14,7 +14,6 @@ from kffa_offboard.offboard.events import (
     RequestMessageRates,
     SetArmed,
     SetMode,
-    StatusReceived,
 )
 
 ASKABLE = (ModeKind.OFFBOARD, ModeKind.HOLD, ModeKind.LAND)
@@ -121,7 +120,7 @@ def test_everything_that_the_service_needs_is_asked_for(px4, ardupilot):
     }
     for firmware in (px4, ardupilot):
         asked = intervals(firmware, 100.0)
-        assert asked.keys() == needed
+        assert asked.keys() - {mavlink.MAVLINK_MSG_ID_HEARTBEAT} == needed
         assert asked[mavlink.MAVLINK_MSG_ID_ATTITUDE] == 10_000
         assert asked[mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE] == 500_000
 
@@ -148,6 +147,73 @@ def test_ardupilot_is_never_asked_for_a_rate_that_it_denies(ardupilot, caplog):
 def test_an_impossible_rate_is_refused(px4, hz):
     with pytest.raises(EncodingError, match="message rate"):
         px4.encode(RequestMessageRates(hz, 50.0, 50.0, 2.0), 0)
+
+
+def test_the_heartbeat_is_asked_for_five_times_a_second_where_that_is_allowed(px4, ardupilot):
+    assert intervals(ardupilot, 100.0)[mavlink.MAVLINK_MSG_ID_HEARTBEAT] == 200_000
+    assert mavlink.MAVLINK_MSG_ID_HEARTBEAT not in intervals(px4, 100.0)  # PX4 answers FAILED to that
+
+
+# ------------------------------------------------------------- rates that are refused
+
+
+def refuse(firmware, autopilot, result, accepted_before=0):
+    """Answer the requests in their order, the one after `accepted_before` with `result`."""
+    command = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    events = []
+    for answer in [0] * accepted_before + [result]:
+        events += firmware.decode(autopilot.over_the_wire(acknowledged(command, answer)))
+    return [event for event in events if not event.accepted]
+
+
+def test_ardupilot_with_a_slow_loop_is_asked_for_what_it_can_send(ardupilot, autopilot):
+    ardupilot.decode(autopilot.over_the_wire(parameter(b"SCHED_LOOP_RATE", 100.0)))
+    assert ardupilot.interval_us(100.0) == 12_000
+    ardupilot.decode(autopilot.over_the_wire(parameter(b"SCHED_LOOP_RATE", 50.0)))
+    assert ardupilot.interval_us(100.0) == 25_000
+
+
+def test_a_denied_attitude_rate_is_asked_for_again_one_millisecond_slower(ardupilot, autopilot):
+    intervals(ardupilot, 100.0)
+    assert refuse(ardupilot, autopilot, mavlink.MAV_RESULT_DENIED) == []
+    (again,) = ardupilot.requests()
+    assert (again.param1, again.param2) == (mavlink.MAVLINK_MSG_ID_ATTITUDE, 11_000)
+    assert ardupilot.requests() == []
+
+
+def test_a_rate_that_is_denied_however_slow_is_told_to_the_service(ardupilot, autopilot):
+    ardupilot.encode(RequestMessageRates(100.0, 100.0, 20.0, 5.0), 0)
+    refuse(ardupilot, autopilot, mavlink.MAV_RESULT_DENIED)
+    refuse(ardupilot, autopilot, 0, accepted_before=4)  # all the others
+    slowest, told = 0, []
+    while not told:
+        (again,) = ardupilot.requests()
+        slowest = again.param2
+        told = refuse(ardupilot, autopilot, mavlink.MAV_RESULT_DENIED)
+    assert slowest == 20_000
+    assert [event.result_name for event in told] == ["denied"]
+
+
+def test_a_message_that_an_old_firmware_does_not_have_is_not_asked_for_again(ardupilot, px4, autopilot):
+    for firmware, result in ((ardupilot, mavlink.MAV_RESULT_DENIED), (px4, mavlink.MAV_RESULT_FAILED)):
+        intervals(firmware, 50.0)
+        assert refuse(firmware, autopilot, result, accepted_before=2) == []
+        assert firmware.requests() == []
+        assert mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET not in intervals(firmware, 50.0)
+        assert mavlink.MAVLINK_MSG_ID_ATTITUDE in intervals(firmware, 50.0)
+
+
+def test_ardupilot_without_message_intervals_is_asked_for_groups_of_messages(ardupilot, autopilot):
+    ardupilot.encode(RequestMessageRates(100.0, 50.0, 20.0, 5.0), 0)
+    assert refuse(ardupilot, autopilot, mavlink.MAV_RESULT_UNSUPPORTED) == []
+    asked = {(m.req_stream_id, m.req_message_rate) for m in ardupilot.requests()}
+    assert asked == {
+        (mavlink.MAV_DATA_STREAM_EXTRA1, 100),
+        (mavlink.MAV_DATA_STREAM_POSITION, 50),
+        (mavlink.MAV_DATA_STREAM_EXTRA2, 5),
+    }
+    for message in ardupilot.encode(RequestMessageRates(100.0, 50.0, 20.0, 5.0), 0):
+        assert message.get_type() == "REQUEST_DATA_STREAM"
 
 
 # ---------------------------------------------------------------------- answers
@@ -257,40 +323,10 @@ def parameter(name, value):
     return mavlink.MAVLink_param_value_message(name, value, mavlink.MAV_PARAM_TYPE_REAL32, 1, 0)
 
 
-def test_ardupilot_parameters_that_change_setpoints_are_read_at_connect(ardupilot, autopilot):
-    beat(ardupilot, autopilot, 4)
-    asked = {m.param_id for m in ardupilot.requests()}
-    assert asked == {"GUID_OPTIONS", "GUID_TIMEOUT", "ATC_ANGLE_BOOST", "PILOT_THR_FILT"}
-    assert ardupilot.requests() == []
-
-
-def test_only_unanswered_parameters_are_asked_for_again_and_not_for_ever(ardupilot, autopilot):
-    beat(ardupilot, autopilot, 4)
-    ardupilot.requests()
-    ardupilot.decode(autopilot.over_the_wire(parameter(b"GUID_OPTIONS", 8.0)))
-    beat(ardupilot, autopilot, 4)
-    assert "GUID_OPTIONS" not in {m.param_id for m in ardupilot.requests()}
-    for _ in range(10):
-        beat(ardupilot, autopilot, 4)
-    assert len(ardupilot.requests()) == 3 * 3
-
-
-@pytest.mark.parametrize(
-    ("name", "bad", "good"),
-    [
-        ("GUID_OPTIONS", 0.0, 8.0),
-        ("GUID_TIMEOUT", 3.0, 0.5),
-        ("ATC_ANGLE_BOOST", 1.0, 0.0),
-        ("PILOT_THR_FILT", 0.5, 0.0),
-    ],
-)
-def test_a_parameter_that_spoils_setpoints_is_reported_once_by_name(ardupilot, autopilot, name, bad, good):
-    message = autopilot.over_the_wire(parameter(name.encode(), bad))
-    (event,) = ardupilot.decode(message)
-    assert isinstance(event, StatusReceived)
-    assert event.text.startswith(f"{name} {bad:g} ")
-    assert ardupilot.decode(message) == []
-    assert ardupilot.decode(autopilot.over_the_wire(parameter(name.encode(), good))) == []
+def test_guided_nogps_is_asked_for_if_so_configured(route, telemetry, px4):
+    indoor = ArduPilot(route, telemetry, "guided_nogps")
+    assert [c.param2 for c in indoor.encode(SetMode(ModeKind.OFFBOARD), 0)] == [20]
+    assert [c.param2 for c in indoor.encode(SetMode(ModeKind.LAND), 0)] == [9]
 
 
 def test_setpoints_are_refused_where_arducopter_would_take_thrust_for_a_climb_rate(ardupilot, autopilot):

@@ -170,7 +170,8 @@ def test_an_event_that_comes_after_the_timeout_finds_the_failsafe_already_there(
     now = flight.time_us + 300_000
     outputs = flight.service.handle(now, events.AttitudeReceived(now, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     assert flight.service.state is State.FAILSAFE
-    assert not any(isinstance(output, AttitudeTarget) for output in outputs[1:])
+    announced = next(k for k, output in enumerate(outputs) if isinstance(output, events.Announce))
+    assert not any(isinstance(output, AttitudeTarget) for output in outputs[announced:])
 
 
 def test_a_frozen_stream_is_a_failsafe(fake):
@@ -299,7 +300,7 @@ def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeyp
 
     monkeypatch.setattr(controllers, "step", broken)
     flight.tick()
-    assert not flight.sent(AttitudeTarget)
+    assert [target.attitude[:2] for _, target in flight.sent(AttitudeTarget)] == [(0.0, 0.0)]
     assert_failsafe(flight, "setpoint is not a finite number")
 
 
@@ -334,6 +335,39 @@ def test_an_autopilot_that_restarts_is_observed_anew(fake):
     assert flight.service.state is State.READY
 
 
+# ------------------------------------------------------------------------------ farewell
+
+
+@pytest.mark.parametrize("output", ["rates", "attitude"])
+def test_the_last_setpoint_of_a_failsafe_in_the_air_is_level_with_the_thrust_that_carried(fake, output):
+    flight = hovering(fake, output=output, failsafe_action="stop")
+    flight.vehicle.weight = 1.5  # a load of half its own mass
+    flight.run(3.0)
+    carried = flight.sent(AttitudeTarget)[-1][1].thrust
+    assert carried > 1.4 * fake.hover
+    before = len(flight.sent(AttitudeTarget))
+    flight.mute = {events.AttitudeReceived}
+    flight.run(1.0)
+    assert flight.service.state is State.FAILSAFE
+    farewell = flight.sent(AttitudeTarget)[before:][-1][1]
+    assert farewell.body_rates is None
+    assert farewell.attitude == (0.0, 0.0, flight.vehicle.attitude[2])
+    assert farewell.thrust == pytest.approx(carried, abs=0.02)
+
+
+def test_there_is_no_farewell_on_the_ground_nor_to_a_pilot_who_took_over(fake):
+    flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
+    flight.mute = {events.AttitudeReceived}
+    flight.run(0.4)
+    assert flight.service.state is State.FAILSAFE
+    assert all(target.thrust == 0.0 for _, target in flight.sent(AttitudeTarget))
+    flight = hovering(fake)
+    flight.vehicle.mode = ModeKind.OTHER
+    flight.give(flight.vehicle.heartbeat())
+    assert flight.service.state is State.READY
+    assert all(target.attitude is None for _, target in flight.sent(AttitudeTarget))
+
+
 # ----------------------------------------------------------------------------- deadlines
 
 
@@ -349,7 +383,7 @@ def test_the_last_setpoint_is_repeated_while_telemetry_is_slow(fake):
     assert len({target for _, target in sent}) == 1
     flight.run(2.0)
     assert flight.service.state is State.FAILSAFE
-    assert (flight.sent(AttitudeTarget)[-1][0] - last_us) * 1e-6 < 1.0
+    assert (flight.sent(AttitudeTarget)[-1][0] - last_us) * 1e-6 == pytest.approx(1.0)  # the farewell
 
 
 def test_the_own_heartbeat_goes_out_once_a_second_from_the_first_call_on(fake):
