@@ -25,7 +25,7 @@ INTERVAL_US = 400_000
 """Between two attempts; a round trip over a slow radio takes less."""
 
 ATTEMPTS = 4
-WINDOW = 8
+WINDOW = 16
 """Requests under way at once; ArduPilot's queue holds 20."""
 
 

@@ -228,9 +228,9 @@ class Session:
         todo = self._parameters.take()
         for message in todo.messages:
             self._transmit(time_us, message)
+        self._dispatch(time_us, todo.announcements)
         for event in todo.events:
             self.tell(time_us, event)
-        self._dispatch(time_us, todo.announcements)
 
     def answer_timesync(self, time_us: int, request: Message, own_time_ns: int) -> None:
         """Answer a TIMESYNC request of the target; others are not ours to answer."""

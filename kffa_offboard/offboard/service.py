@@ -142,9 +142,7 @@ class Service(Session):
         if self._requests < wanted.request_limit:
             self._request_rates(time_us)
             return
-        attitude = telemetry.rate_hz(self._known.attitude_stream, time_us)
-        position = telemetry.rate_hz(self._known.position_stream, time_us)
-        self._say_once(Severity.WARNING, f"telemetry stays at {attitude:.0f}/{position:.0f} Hz")
+        self._say_once(Severity.WARNING, telemetry.too_slow_text(wanted, self._known, time_us))
 
     def _request_rates(self, time_us: int) -> None:
         wanted = self.settings.telemetry

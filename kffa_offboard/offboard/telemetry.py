@@ -262,6 +262,20 @@ def too_slow(settings: TelemetrySettings, known: Telemetry, time_us: int) -> boo
     )
 
 
+def too_slow_text(settings: TelemetrySettings, known: Telemetry, time_us: int) -> str:
+    """Which stream is missing, or which is slow, in steps of 10 Hz so that it is not news every second."""
+    for name, stream, wanted in (
+        ("attitude", known.attitude_stream, settings.attitude_hz),
+        ("position", known.position_stream, settings.position_hz),
+    ):
+        seen = rate_hz(stream, time_us)
+        if seen == 0.0:
+            return f"no {name} comes; has the autopilot an estimate, and the link room?"
+        if seen < settings.rate_fraction * wanted:
+            return f"{name} stays at about {10.0 * round(seen / 10.0):g} Hz, {wanted:g} asked for"
+    return "telemetry is slow"
+
+
 def outside_limits(limits: LimitSettings, known: Telemetry, ground: float) -> str | None:
     """Name the measured quantity that is out of its limits; altitude counts from `ground` [m]."""
     if known.attitude is not None:

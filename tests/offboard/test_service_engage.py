@@ -45,7 +45,7 @@ def test_the_request_is_repeated_every_second_while_too_little_arrives_and_then_
     flight.run(8.0)
     times = [(time - flight.start_us) * 1e-6 for time, _ in flight.sent(events.RequestMessageRates)]
     assert times == pytest.approx([0.01, 1.01, 2.01, 3.01])
-    assert flight.texts == ["telemetry stays at 99/0 Hz"]
+    assert flight.texts == ["no position comes; has the autopilot an estimate, and the link room?"]
 
 
 def test_a_refused_telemetry_rate_is_announced_once(fake):

@@ -23,10 +23,13 @@ from kffa_offboard.config_log import flight_header
 from kffa_offboard.demo.metrics import Truth
 from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.parameter_check import CheckSettings
+from kffa_offboard.mavlink.parameter_file import ParameterFile
+from kffa_offboard.mavlink.parameter_keeper import KeeperSettings, ParameterKeeper
 from kffa_offboard.mavlink.session import Session
 from kffa_offboard.mavlink.shell import RunResult, run_lock_step
 from kffa_offboard.mavlink.transport import Datagram
-from kffa_offboard.offboard.events import Signals
+from kffa_offboard.offboard.events import Announce, Signals
 from kffa_offboard.offboard.service import Service
 from sim_vehicle import config as sim_config
 from sim_vehicle.vehicle import SimulatedVehicle
@@ -83,9 +86,12 @@ class LockStepFlight:
     daemon: DaemonConfig
     vehicle: SimulatedVehicle
     before_slot: Callable[[], None] = lambda: None
+    link_to: Callable[[SimulatedVehicle, Callable[[], None]], LockStepLink] = LockStepLink
     heard: list[tuple[int, Any]] = field(default_factory=list)
     stop: threading.Event = field(default_factory=threading.Event)
     log: Path | None = None
+    parameters: ParameterKeeper | None = None
+    record: ParameterFile | None = None
     session: Session = field(init=False)
     link: LockStepLink = field(init=False)
 
@@ -99,9 +105,9 @@ class LockStepFlight:
 
         ids = self.daemon.link
         route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
-        self.link = LockStepLink(self.vehicle, before_slot)
+        self.link = self.link_to(self.vehicle, before_slot)
         service = Service(self.daemon.service)
-        header = flight_header(self.daemon, lockstep=True)
+        header = flight_header(self.daemon, lockstep=True, changed=self.record)
         with contextlib.nullcontext() if self.log is None else TlogWriter(self.log, header=header) as writer:
             self.session = Session(
                 service,
@@ -109,10 +115,24 @@ class LockStepFlight:
                 route,
                 recorder=writer,
                 observer=lambda time_us, item: self.heard.append((time_us, item)),
+                parameters=self.parameters,
+                guided_mode=self.daemon.autopilot.ardupilot_mode,
             )
             result = run_lock_step(self.session, lambda: self.vehicle.time_us, self.stop)
             self.session.close("flown")
         return result
+
+    def check_parameters(self, record: ParameterFile, fix: bool = False) -> None:
+        """Let the daemon read the vehicle's parameters, and set them if so asked."""
+        ids = self.daemon.link
+        route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
+        settings = KeeperSettings(CheckSettings.of(self.daemon.service), fix, self.daemon.service.shadow)
+        self.parameters, self.record = ParameterKeeper(route, settings, record), record
+
+    @property
+    def texts(self) -> list[str]:
+        """What the daemon announced."""
+        return [item.text for _, item in self.heard if isinstance(item, Announce)]
 
     @property
     def signals(self) -> list[Signals]:
