@@ -149,7 +149,8 @@ class Commands:
 
     def _set_message_interval(self, peer: Peer, command: Command) -> Answer:
         message_id, asked = _whole(command.parameters[0]), command.parameters[1]
-        if message_id not in telemetry.BUILDERS:
+        keeps_its_rate = self._server.px4 and message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT
+        if message_id not in telemetry.BUILDERS or keeps_its_rate:
             return Result.FAILED
         if not math.isfinite(asked) or asked < -1.0:
             return Result.DENIED

@@ -1,7 +1,12 @@
-"""Serial links: a telemetry port of the autopilot, or its USB port."""
+"""Serial links: a telemetry port of the autopilot, or its USB port.
+
+An autopilot's own USB port (CDC ACM: /dev/ttyACM0) ignores the baud rate; any standard one will do. USB
+adapters (/dev/ttyUSB0) and UARTs (/dev/ttyAMA0) need the rate that the autopilot's port is set to.
+"""
 
 from __future__ import annotations
 
+import errno
 from pathlib import Path
 
 import serial
@@ -57,15 +62,27 @@ class SerialLink(StreamLink):
 
 def _explain(address: SerialAddress, error: OSError | ValueError) -> UserError:
     """Say in one line why a device could not be opened, and what to do."""
-    text = str(error).lower()
+    text, number = str(error).lower(), getattr(error, "errno", None)
     if "lock" in text:
         reason, remedy = "another program has it open", "stop that program"
-    elif "permission denied" in text:
-        reason, remedy = "not allowed to open it", "add yourself to the group that owns it (often dialout)"
-    elif "ioctl" in text or "configure" in text:
+    elif number == errno.EBUSY:
+        reason, remedy = "it is busy", "stop what uses it (ModemManager probes new devices for half a minute)"
+    elif number in (errno.EACCES, errno.EPERM) or "permission denied" in text:
+        group = _group_of(address.device)
+        reason = f"not allowed to open it, which belongs to group {group}"
+        remedy = f"join it (sudo usermod -aG {group} $USER) and log in again"
+    elif number == errno.ENOTTY or "ioctl" in text or "configure" in text:
         reason, remedy = "it is not a serial device", "name a serial device, such as /dev/ttyACM0"
     elif isinstance(error, ValueError):
         reason, remedy = f"it cannot run at {address.baud} baud", "choose a standard rate, such as 57600"
     else:
         reason, remedy = " ".join(text.split()), "check the device"
     return UserError(f"link {address.url!r}: cannot open {address.device!r}: {reason}; {remedy}")
+
+
+def _group_of(device: str) -> str:
+    """Name of the group that owns a device; the usual one if it cannot be told."""
+    try:
+        return Path(device).group()
+    except (OSError, KeyError):
+        return "dialout"

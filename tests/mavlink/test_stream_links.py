@@ -1,12 +1,14 @@
 """TCP on loopback and serial over a pseudo-terminal, with scripted peers."""
 
 import contextlib
+import errno
 import itertools
 import os
 import socket
 import tty
 
 import pytest
+import serial
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.component import FrameParser
@@ -214,3 +216,24 @@ def test_something_that_is_no_serial_device_is_refused(clock):
 def test_a_device_in_use_is_refused(serial_link, terminal, clock):
     with pytest.raises(UserError, match="another program has it open"):
         open_link(f"serial:{terminal[1]}:57600", clock)
+
+
+@pytest.mark.parametrize(
+    ("number", "reason", "remedy"),
+    [
+        (errno.EACCES, "not allowed to open it, which belongs to group", "sudo usermod -aG"),
+        (errno.EBUSY, "it is busy", "ModemManager"),
+    ],
+)
+def test_a_device_that_the_system_withholds_is_explained(
+    terminal, clock, monkeypatch, number, reason, remedy
+):
+    def refuse(**options):
+        raise serial.SerialException(number, f"could not open port: {os.strerror(number)}")
+
+    monkeypatch.setattr(serial, "Serial", refuse)
+    with pytest.raises(UserError) as caught:
+        open_link(f"serial:{terminal[1]}:57600", clock)
+    assert f"cannot open '{terminal[1]}': {reason}" in str(caught.value)
+    assert remedy in str(caught.value)
+    assert "\n" not in str(caught.value)

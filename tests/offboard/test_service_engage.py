@@ -8,7 +8,7 @@ import pytest
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, SetArmed, SetMode
 from kffa_offboard.offboard.segments import Hold, Land, Takeoff
-from kffa_offboard.offboard.service import State
+from kffa_offboard.offboard.service import Finished, State
 
 OFFBOARD = SetMode(ModeKind.OFFBOARD)
 
@@ -339,3 +339,46 @@ def test_the_scenario_in_the_air_climbs_without_a_ramp(fake):
     flight.run(4.5)
     assert flight.vehicle.position == pytest.approx(5.0, abs=0.1)
     assert min(target.thrust for _, target in flight.sent(AttitudeTarget)) > 0.7 * fake.hover
+
+
+# ------------------------------------------------------------------------ parameters
+
+THRUST = events.ParameterProblem("GUID_OPTIONS", "unsafe", "GUID_OPTIONS bit 3 is off; set GUID_OPTIONS 8")
+BOOST = events.ParameterProblem("ATC_ANGLE_BOOST", "warning", "ATC_ANGLE_BOOST 1; set ATC_ANGLE_BOOST 0")
+
+
+def test_the_service_is_not_ready_while_parameters_are_being_read(fake):
+    flight = fake.Lockstep(fake.settings())
+    flight.give(events.ParametersChecked((), complete=False))
+    flight.run(3.0)
+    assert flight.service.state is State.WAITING
+    flight.give(events.ParametersChecked((BOOST,)))
+    flight.run_to(State.ENGAGED)
+    assert BOOST.text in flight.texts
+
+
+def test_an_unsafe_parameter_forbids_engaging_and_ends_a_run_that_was_to_engage(fake):
+    flight = fake.Lockstep(fake.settings())
+    flight.give(events.ParametersChecked((THRUST,)))
+    flight.run(3.0)
+    assert flight.service.finished == Finished(False, f"not engaged: {THRUST.text}")
+    assert not flight.sent((events.AttitudeTarget, events.SetMode, events.SetArmed))
+
+
+def test_a_run_that_only_watches_goes_on_and_may_engage_once_the_parameter_is_right(fake):
+    flight = fake.Lockstep(fake.settings(engage=False))
+    flight.give(events.ParametersChecked((THRUST,)))
+    flight.run_to(State.READY)
+    flight.give(events.EngageRequested())
+    assert flight.service.state is State.READY
+    assert flight.texts[-1] == f"not engaged: {THRUST.text}"
+    flight.give(events.ParametersChecked(()))
+    flight.give(events.EngageRequested())
+    flight.run_to(State.ENGAGED)
+
+
+def test_a_problem_is_announced_once(fake):
+    flight = fake.Lockstep(fake.settings(engage=False))
+    for _ in range(3):
+        flight.give(events.ParametersChecked((BOOST,)))
+    assert flight.texts == [BOOST.text]

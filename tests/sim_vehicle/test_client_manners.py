@@ -50,3 +50,13 @@ def test_a_fence_that_is_not_there_is_not_breached(pilot):
     status = pilot.messages("SYS_STATUS")[-1]
     assert not status.onboard_control_sensors_present & mavlink.MAV_SYS_STATUS_GEOFENCE
     assert status.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_GEOFENCE
+
+
+def test_arducopter_sends_its_heartbeat_as_often_as_asked_and_px4_refuses(copter, px4):
+    accepted, failed = 0, 4
+    interval, heartbeat = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_HEARTBEAT
+    for pilot, result, count in ((copter, accepted, 10), (px4, failed, 2)):
+        assert pilot.ask(interval, heartbeat, 200_000) == result
+        start = pilot.now
+        pilot.run(2.0)
+        assert len(pilot.messages("HEARTBEAT", start)) == pytest.approx(count, abs=1)

@@ -85,12 +85,10 @@ def test_a_stop_while_flying_puts_the_parameters_back_once_the_vehicle_holds(loc
     assert values(flight) == STOCK
 
 
-def test_a_failsafe_that_leaves_guided_armed_keeps_the_parameters_and_says_which(lock_step_flight, record):
+def test_a_vehicle_that_stays_in_guided_keeps_the_parameters_and_says_which(lock_step_flight, record):
     """Changing GUID_OPTIONS under a live setpoint would make its thrust a climb rate."""
     flight = stock(lock_step_flight("ardupilot"))
     flight.check_parameters(record, fix=True)
-    assert flight.daemon.service.failsafe_action == "hold"
-    flight.vehicle.firmware.set_custom_mode(4)
     refuse_brake(flight)
     flight.fly(lambda vehicle: vehicle.state.rigid[2] > 0.5)
     assert values(flight) == SET
