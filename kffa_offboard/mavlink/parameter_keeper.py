@@ -196,7 +196,10 @@ class ParameterKeeper:
             self._judge()
         else:
             self._settle_changes()
-            self._phase = _Phase.DONE
+            if self.changes and time_us < self._restore_by_us:
+                self._put_back(self.changes)  # a starved or slow link: try on until the limit
+            if not self._transfer.busy:
+                self._phase = _Phase.DONE
 
     def _after_reading(self, time_us: int) -> None:
         assert self._heartbeat is not None

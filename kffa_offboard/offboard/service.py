@@ -191,8 +191,11 @@ class Service(Session):
             case events.ReleaseRequested():
                 self._release(time_us, event.reason)
             case events.ParametersChecked():
-                self._emit(*parameters.announcements(self._parameters, event))
-                self._parameters = event
+                if event.complete:
+                    self._emit(*parameters.announcements(self._parameters, event))
+                    self._parameters = event
+                else:  # what was found before is not news when it is found again
+                    self._parameters = replace(self._parameters, complete=False)
             case events.StatusReceived():
                 pass  # the log has it
 

@@ -295,6 +295,19 @@ def test_what_could_not_be_put_back_is_kept_on_record_and_named(bench, file):
     assert {c.name for c in file.load("ardupilot")} == {c.name for c in vehicle.keeper.changes}
 
 
+def test_a_vehicle_that_answers_late_is_waited_for(bench):
+    vehicle = bench(fix=True)
+    vehicle.run(3.0)
+    vehicle.answers = False
+    vehicle.keeper.finish(vehicle.time_us)
+    vehicle.run(3.0)
+    vehicle.answers = True
+    vehicle.run(1.9)
+    assert vehicle.keeper.done
+    assert vehicle.values == STOCK
+    assert vehicle.keeper.changes == ()
+
+
 def test_a_value_that_somebody_else_set_meanwhile_is_left_alone(bench):
     vehicle = bench(fix=True)
     vehicle.run(3.0)

@@ -380,5 +380,6 @@ def test_a_run_that_only_watches_goes_on_and_may_engage_once_the_parameter_is_ri
 def test_a_problem_is_announced_once(fake):
     flight = fake.Lockstep(fake.settings(engage=False))
     for _ in range(3):
+        flight.give(events.ParametersChecked((), complete=False))
         flight.give(events.ParametersChecked((BOOST,)))
     assert flight.texts == [BOOST.text]

@@ -335,39 +335,6 @@ def test_an_autopilot_that_restarts_is_observed_anew(fake):
     assert flight.service.state is State.READY
 
 
-# ------------------------------------------------------------------------------ farewell
-
-
-@pytest.mark.parametrize("output", ["rates", "attitude"])
-def test_the_last_setpoint_of_a_failsafe_in_the_air_is_level_with_the_thrust_that_carried(fake, output):
-    flight = hovering(fake, output=output, failsafe_action="stop")
-    flight.vehicle.weight = 1.5  # a load of half its own mass
-    flight.run(3.0)
-    carried = flight.sent(AttitudeTarget)[-1][1].thrust
-    assert carried > 1.4 * fake.hover
-    before = len(flight.sent(AttitudeTarget))
-    flight.mute = {events.AttitudeReceived}
-    flight.run(1.0)
-    assert flight.service.state is State.FAILSAFE
-    farewell = flight.sent(AttitudeTarget)[before:][-1][1]
-    assert farewell.body_rates is None
-    assert farewell.attitude == (0.0, 0.0, flight.vehicle.attitude[2])
-    assert farewell.thrust == pytest.approx(carried, abs=0.02)
-
-
-def test_there_is_no_farewell_on_the_ground_nor_to_a_pilot_who_took_over(fake):
-    flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
-    flight.mute = {events.AttitudeReceived}
-    flight.run(0.4)
-    assert flight.service.state is State.FAILSAFE
-    assert all(target.thrust == 0.0 for _, target in flight.sent(AttitudeTarget))
-    flight = hovering(fake)
-    flight.vehicle.mode = ModeKind.OTHER
-    flight.give(flight.vehicle.heartbeat())
-    assert flight.service.state is State.READY
-    assert all(target.attitude is None for _, target in flight.sent(AttitudeTarget))
-
-
 # ----------------------------------------------------------------------------- deadlines
 
 

@@ -1,0 +1,47 @@
+"""The last setpoint before the daemon falls silent."""
+
+import pytest
+
+from kffa_offboard.offboard import events
+from kffa_offboard.offboard.events import AttitudeTarget, ModeKind
+from kffa_offboard.offboard.segments import Hold
+from kffa_offboard.offboard.service import State
+
+
+def hovering(fake, **changes):
+    """A flight engaged at 3 m that holds for as long as nobody interferes."""
+    flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),), **changes), fake.airborne())
+    flight.run_to(State.ENGAGED)
+    flight.run(1.0)
+    flight.log.clear()
+    return flight
+
+
+@pytest.mark.parametrize("output", ["rates", "attitude"])
+def test_the_last_setpoint_of_a_failsafe_in_the_air_is_level_with_the_thrust_that_carried(fake, output):
+    flight = hovering(fake, output=output, failsafe_action="stop")
+    flight.vehicle.weight = 1.5  # a load of half its own mass
+    flight.run(3.0)
+    carried = flight.sent(AttitudeTarget)[-1][1].thrust
+    assert carried > 1.4 * fake.hover
+    before = len(flight.sent(AttitudeTarget))
+    flight.mute = {events.AttitudeReceived}
+    flight.run(1.0)
+    assert flight.service.state is State.FAILSAFE
+    farewell = flight.sent(AttitudeTarget)[before:][-1][1]
+    assert farewell.body_rates is None
+    assert farewell.attitude == (0.0, 0.0, flight.vehicle.attitude[2])
+    assert farewell.thrust == pytest.approx(carried, abs=0.02)
+
+
+def test_there_is_no_farewell_on_the_ground_nor_to_a_pilot_who_took_over(fake):
+    flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
+    flight.mute = {events.AttitudeReceived}
+    flight.run(0.4)
+    assert flight.service.state is State.FAILSAFE
+    assert all(target.thrust == 0.0 for _, target in flight.sent(AttitudeTarget))
+    flight = hovering(fake)
+    flight.vehicle.mode = ModeKind.OTHER
+    flight.give(flight.vehicle.heartbeat())
+    assert flight.service.state is State.READY
+    assert all(target.attitude is None for _, target in flight.sent(AttitudeTarget))
