@@ -59,9 +59,7 @@ def parameter_keeper(config: DaemonConfig, route: Route, file: ParameterFile) ->
     return ParameterKeeper(route, settings, file)
 
 
-def recorded_keeper(
-    header: Header, config: DaemonConfig, route: Route, log: Path
-) -> ParameterKeeper | None:
+def recorded_keeper(header: Header, config: DaemonConfig, route: Route, log: Path) -> ParameterKeeper | None:
     """The parameter keeper of a recorded flight, None if it had none."""
     if not header.parameters_checked:
         return None

@@ -13,6 +13,7 @@ from kffa_offboard.config import bundled
 from kffa_offboard.config_log import config_of
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.tlog import TIMESTAMP, read_tlog
+from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.replay.compare import compare, what_if
 from kffa_offboard.replay.engine import replay
 from kffa_offboard.replay.recording import read_recording
@@ -174,3 +175,20 @@ def test_other_peoples_logs_are_refused_with_a_way_on(tmp_path):
     Path(tmp_path / "empty.tlog").write_bytes(b"")
     with pytest.raises(UserError, match="is empty"):
         read_recording(tmp_path / "empty.tlog")
+
+
+def test_parameters_that_were_set_and_put_back_are_in_the_replay(lock_step_flight, tmp_path):
+    flight = lock_step_flight("ardupilot")
+    flight.daemon = replace(
+        flight.daemon,
+        autopilot=replace(flight.daemon.autopilot, fix_parameters=True),
+        overrides=replace(flight.daemon.overrides, fix_parameters=True),
+    )
+    flight.check_parameters(ParameterFile(tmp_path / "changed.json"), fix=True)
+    flight.vehicle.firmware.parameters.set("GUID_TIMEOUT", 3.0)
+    flight.log = tmp_path / "fixed.tlog"
+    flight.fly(lambda vehicle: vehicle.time_us > 5_000_000)
+    recording, again = replayed(flight.log)
+    sent = [m for _, m in read_tlog(flight.log) if m.get_type() == "PARAM_SET"]
+    assert [m.param_value for m in sent if m.param_id == "GUID_TIMEOUT"] == [0.5, 3.0]
+    assert compare(recording, again).difference is None
