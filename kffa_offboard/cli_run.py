@@ -18,7 +18,7 @@ from rich.console import Console
 
 from kffa_offboard.cli_status import StatusDisplay
 from kffa_offboard.config import DaemonConfig
-from kffa_offboard.config_log import flight_header, parameter_keeper
+from kffa_offboard.config_log import flight_header, make_companion, parameter_keeper
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.mavlink.component import Route
@@ -60,6 +60,7 @@ def run(config: DaemonConfig, options: RunOptions) -> int:
         writer = _log_writer(config, options, log, route, changed) if log else None
         with writer or nullcontext(), StatusDisplay(console) as status, _stop_on_signals() as stop:
             console.print(f"waiting for a vehicle on {link.name}", soft_wrap=True, highlight=False)
+            _say_changes(console, config)
             session = Session(
                 Service(config.service),
                 link,
@@ -68,6 +69,8 @@ def run(config: DaemonConfig, options: RunOptions) -> int:
                 observer=status,
                 parameters=parameters,
                 guided_mode=config.autopilot.ardupilot_mode,
+                companion=make_companion(config, route),
+                compare_clocks=not options.lockstep,
             )
             drive = run_lock_step if options.lockstep else run_real_time
             result = drive(session, clock, stop, connect_timeout_s=config.link.connect_timeout_s)
@@ -113,6 +116,13 @@ def _log_writer(
         component_id=route.own_component,
         part_size=config.log.part_size,
     )
+
+
+def _say_changes(console: Console, config: DaemonConfig) -> None:
+    """Which parameters are not the configuration's own."""
+    changed = ", ".join(f"{name} = {value:g}" for name, value in config.tuning.changes.items())
+    if changed and config.tuning.store is not None:
+        console.print(f"parameters of {config.tuning.store.path}: {changed}", soft_wrap=True, highlight=False)
 
 
 def _log_path(config: DaemonConfig, options: RunOptions) -> Path | None:

@@ -71,6 +71,7 @@ class StatusDisplay:
         self._state = "waiting"
         self._altitude_m = nan
         self._thrust = nan
+        self._latency_s = nan
         self._telemetry = RateCounter()
         self._commands = RateCounter()
 
@@ -102,6 +103,7 @@ class StatusDisplay:
                 self._altitude_m = item.position[2]
             case Signals():
                 self._state = item.state
+                self._latency_s = item.latency_s
             case AttitudeTarget():
                 self._commands.count(time_us)
                 self._thrust = item.thrust
@@ -128,9 +130,10 @@ class StatusDisplay:
     def _line(self, time_us: int) -> Text:
         altitude = "   - " if isnan(self._altitude_m) else f"{self._altitude_m:5.2f}"
         thrust = "  - " if isnan(self._thrust) else f"{self._thrust:4.2f}"
+        latency = "" if isnan(self._latency_s) else f"  latency {1e3 * self._latency_s:.0f} ms"
         return Text(
             f"{self._state}  {self._vehicle}  {altitude} m  thrust {thrust}  "
-            f"in {self._telemetry.hz:.0f} Hz  out {self._commands.hz:.0f} Hz",
+            f"in {self._telemetry.hz:.0f} Hz  out {self._commands.hz:.0f} Hz{latency}",
             "bold",
             no_wrap=True,
         )

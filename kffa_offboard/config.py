@@ -6,7 +6,7 @@ Every problem of a file is reported, one line each, and nothing is opened or flo
 from __future__ import annotations
 
 import tomllib
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields, replace
 from math import radians
 from pathlib import Path
 from typing import Any, TypeVar
@@ -16,6 +16,8 @@ from pydantic import ValidationError
 from kffa_offboard.config_control import ControlTable, Table
 from kffa_offboard.config_errors import explain
 from kffa_offboard.config_tables import ConfigFile
+from kffa_offboard.config_tuning import ConfigTuning
+from kffa_offboard.config_tuning_file import TuningFile, TuningStore
 from kffa_offboard.control.controllers import ControllerName, ControllerParameters
 from kffa_offboard.control.design import design
 from kffa_offboard.errors import UserError
@@ -29,6 +31,7 @@ from kffa_offboard.offboard.settings import (
     ServiceSettings,
     TelemetrySettings,
 )
+from kffa_offboard.offboard.tuning import TuningProblem
 
 Record = TypeVar("Record", TelemetrySettings, LimitSettings, SequenceSettings, FlightSettings)
 
@@ -97,6 +100,8 @@ class DaemonConfig:
     document : the tables it was made from, with what `overrides` changed in them
     overrides : what the command line said
     autopilot : checking of its parameters
+    tuning : what may be changed in flight; its settings are `service`
+    signals_hz : rate of the inner signals on the wire; 0 for none
     """
 
     path: Path
@@ -105,7 +110,9 @@ class DaemonConfig:
     log: LogSettings
     document: dict[str, Any]
     overrides: Overrides
-    autopilot: AutopilotSettings = field(default_factory=AutopilotSettings)
+    autopilot: AutopilotSettings
+    tuning: ConfigTuning
+    signals_hz: float
 
 
 def bundled(name: str) -> Path:
@@ -149,25 +156,44 @@ def load(path: Path, overrides: Overrides | None = None) -> DaemonConfig:
     return build(document, path, overrides)
 
 
-def build(document: dict[str, Any], path: Path, overrides: Overrides) -> DaemonConfig:
-    """Check the tables of a file; errors are named after `path`. Raises ConfigError as `load`."""
+def build(
+    document: dict[str, Any], path: Path, overrides: Overrides, stored: TuningStore | None = None
+) -> DaemonConfig:
+    """Check the tables of a file; errors are named after `path`. Raises ConfigError as `load`.
+
+    `stored` takes the place of the file that `[parameters]` names.
+    """
     file = str(path)
+    tuning = ConfigTuning(document, lambda tables: _service(tables, overrides))
     try:
-        tables = ConfigFile.model_validate(document)
+        tables = tuning.tables
+        assert tuning.settings is not None  # made and checked here
     except ValidationError as error:
         raise ConfigError(file, explain(error, ConfigFile)) from error
-    try:
-        return DaemonConfig(
-            path,
-            _link(tables),
-            _service(tables, overrides),
-            _log(tables),
-            document,
-            overrides,
-            _autopilot(tables, overrides),
-        )
     except ValueError as error:
         raise ConfigError(file, [str(error)]) from error
+    if tables.parameters.file is not None:
+        own = TuningFile(path.parent / Path(tables.parameters.file).expanduser())
+        tuning = _with_stored(tuning, stored or own)
+    return DaemonConfig(
+        path=path,
+        link=_link(tables),
+        service=tuning.settings,
+        log=_log(tables),
+        document=document,
+        overrides=overrides,
+        autopilot=_autopilot(tables, overrides),
+        tuning=tuning,
+        signals_hz=tables.signals.rate_hz,
+    )
+
+
+def _with_stored(tuning: ConfigTuning, store: TuningStore) -> ConfigTuning:
+    """With the values that are in `store`, if there are any; a ConfigError names it."""
+    try:
+        return replace(tuning, store=store).reread()
+    except TuningProblem as error:
+        raise ConfigError(str(store.path), [str(error)]) from error
 
 
 def read_toml(path: Path) -> dict[str, Any]:

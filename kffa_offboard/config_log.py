@@ -7,7 +7,10 @@ from pathlib import Path
 
 from kffa_offboard import __version__
 from kffa_offboard.config import DaemonConfig, Overrides, build
+from kffa_offboard.config_tuning_file import RememberedTuning
 from kffa_offboard.flightlog.notes import Header
+from kffa_offboard.flightlog.signals import LIVE_ARRAY_ID, to_message
+from kffa_offboard.mavlink.companion import Companion
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.parameter_check import CheckSettings
 from kffa_offboard.mavlink.parameter_file import ParameterFile, RememberedChanges
@@ -36,6 +39,7 @@ def flight_header(config: DaemonConfig, lockstep: bool, changed: ParameterFile |
         libraries={name: version(name) for name in LIBRARIES},
         parameters_checked=changed is not None and config.autopilot.check_parameters,
         changed_parameters=None if changed is None else changed.text(),
+        stored_parameters=None if config.tuning.store is None else config.tuning.store.read(),
     )
 
 
@@ -44,7 +48,8 @@ def config_of(header: Header, log: Path) -> DaemonConfig:
 
     Raises ConfigError if this version cannot fly it (a key that it does not know, for instance).
     """
-    return build(header.configuration, log, overrides_of(header))
+    store = RememberedTuning(log, header.stored_parameters)
+    return build(header.configuration, log, overrides_of(header), store)
 
 
 def overrides_of(header: Header) -> Overrides:
@@ -64,3 +69,13 @@ def recorded_keeper(header: Header, config: DaemonConfig, route: Route, log: Pat
     if not header.parameters_checked:
         return None
     return parameter_keeper(config, route, RememberedChanges(log, header.changed_parameters))
+
+
+def make_companion(config: DaemonConfig, route: Route) -> Companion:
+    """What answers ground stations: the configuration's parameters and signals."""
+    return Companion(
+        route,
+        tuning=config.tuning,
+        signals_hz=config.signals_hz,
+        to_array=lambda signals: to_message(signals, LIVE_ARRAY_ID),
+    )

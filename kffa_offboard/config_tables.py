@@ -192,6 +192,21 @@ class LogTable(Table):
     """A longer flight goes on in FLIGHT-2.tlog, FLIGHT-3.tlog, ...; an hour at 100 Hz is about 200 MB."""
 
 
+class ParametersTable(Table):
+    """`[parameters]`: where values that were changed in flight are stored, beside the configuration.
+
+    Left out, they cannot be stored. At the next start the file is read on top of the configuration.
+    """
+
+    file: str | None = None
+
+
+class SignalsTable(Table):
+    """`[signals]`: how often the inner signals go out for ground stations; 0 for never."""
+
+    rate_hz: Annotated[float, number("Hz", at_least=0.0, at_most=500.0)] = 10.0
+
+
 # ----------------------------------------------------------------------------- scenario
 
 
@@ -346,4 +361,6 @@ class ConfigFile(Table):
     failsafe: FailsafeTable = FailsafeTable()
     autopilot: AutopilotTable = AutopilotTable()
     scenario: ScenarioTable = ScenarioTable()
+    parameters: ParametersTable = ParametersTable()
+    signals: SignalsTable = SignalsTable()
     log: LogTable = LogTable()

@@ -45,6 +45,7 @@ class Header:
     libraries : versions of what takes part in the arithmetic
     parameters_checked : the vehicle's parameters were read and judged
     changed_parameters : the file with which an earlier run had left old values behind, if there was one
+    stored_parameters : the file of the daemon's own changed parameters, if there was one
     part : 1 for the first file of a flight, then 2, ...
     """
 
@@ -55,6 +56,7 @@ class Header:
     libraries: dict[str, str] = field(default_factory=dict)
     parameters_checked: bool = False
     changed_parameters: str | None = None
+    stored_parameters: str | None = None
     part: int = 1
 
 

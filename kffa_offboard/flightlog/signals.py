@@ -1,7 +1,8 @@
 """The controller's inner signals as DEBUG_FLOAT_ARRAY messages, and back as arrays for plotting.
 
 Layout of `data` (name "kffa", array_id 0): nine blocks of four in channel order roll, pitch, yaw,
-altitude (`BLOCKS`), then the index of the state in `STATE_NAMES`, dt [s], and four saturation flags.
+altitude (`BLOCKS`), then the index of the state in `STATE_NAMES`, dt [s], and four saturation flags; the last
+entry is the latency [s]. What goes out live, thinned, has array_id 1.
 Values are float32 on the wire; `time_usec` is exact. Reading them from a file: `tlog.read_signals`.
 """
 
@@ -19,6 +20,7 @@ from kffa_offboard.offboard.events import Signals
 
 NAME = "kffa"
 ARRAY_ID = 0
+LIVE_ARRAY_ID = 1
 CHANNELS = 4
 BLOCKS = (
     "reference",
@@ -38,6 +40,7 @@ _STATE = CHANNELS * len(BLOCKS)
 _DT = _STATE + 1
 _SATURATED = _DT + 1
 _SIZE = 58
+_LATENCY = _SIZE - 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +49,8 @@ class SignalTable:
 
     `time_us` (n,) int64; each block (n, 4): angles [rad], altitude [m], their rates [1/s], `disturbance`
     in the second derivative of the channel, `omega_c` [rad/s], `command` and `applied` in the unit of the
-    channel's command; `state` (n,) index into `STATE_NAMES`; `dt` (n,) [s]; `saturated` (n, 4).
+    channel's command; `state` (n,) index into `STATE_NAMES`; `dt` (n,) [s]; `latency_s` (n,) [s], NaN while
+    it is not known; `saturated` (n, 4).
     """
 
     time_us: NDArray[np.int64]
@@ -61,6 +65,7 @@ class SignalTable:
     applied: NDArray[np.float64]
     state: NDArray[np.int64]
     dt: NDArray[np.float64]
+    latency_s: NDArray[np.float64]
     saturated: NDArray[np.bool_]
 
     @property
@@ -70,7 +75,7 @@ class SignalTable:
         return np.asarray((self.time_us - first) / 1e6, dtype=float)
 
 
-def to_message(signals: Signals) -> Any:
+def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Any:
     """Signals as a DEBUG_FLOAT_ARRAY message.
 
     Raises ValueError for a block that has not four values or a state without a number.
@@ -84,10 +89,10 @@ def to_message(signals: Signals) -> Any:
     if signals.state not in STATE_NAMES:
         raise ValueError(f"signals.state {signals.state!r} is none of {', '.join(STATE_NAMES)}")
     data += [STATE_NAMES.index(signals.state), signals.dt, *map(float, signals.saturated)]
-    data += [0.0] * (_SIZE - len(data))
+    data += [0.0] * (_LATENCY - len(data)) + [signals.latency_s]
     with np.errstate(over="ignore"):  # what float32 cannot hold is logged as infinite
         packable = np.asarray(data, dtype=np.float32).tolist()
-    return mavlink.MAVLink_debug_float_array_message(signals.time_us, NAME.encode(), ARRAY_ID, packable)
+    return mavlink.MAVLink_debug_float_array_message(signals.time_us, NAME.encode(), array_id, packable)
 
 
 def is_signals(message: Any) -> bool:
@@ -108,6 +113,7 @@ def from_message(message: Any) -> Signals:
         state=STATE_NAMES[int(data[_STATE])],
         saturated=tuple(value != 0.0 for value in data[_SATURATED : _SATURATED + CHANNELS]),
         dt=data[_DT],
+        latency_s=data[_LATENCY],
         **blocks,
     )
 
@@ -127,6 +133,7 @@ def table(messages: Iterable[Any]) -> SignalTable:
         time_us=np.array(times, dtype=np.int64),
         state=data[:, _STATE].astype(np.int64),
         dt=data[:, _DT],
+        latency_s=data[:, _LATENCY],
         saturated=data[:, _SATURATED : _SATURATED + CHANNELS] != 0.0,
         **blocks,
     )

@@ -15,12 +15,14 @@ from typing import Protocol, TypeAlias
 from kffa_offboard.mavlink import parameter_keeper
 from kffa_offboard.mavlink.autopilot import GuidedMode
 from kffa_offboard.mavlink.commands import EncodingError, is_timesync_request, timesync_answer
+from kffa_offboard.mavlink.companion import Companion
 from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
 from kffa_offboard.mavlink.parameter_file import ChangedParameter
 from kffa_offboard.mavlink.parameter_keeper import ParameterKeeper
 from kffa_offboard.mavlink.transport import Datagram, Link
 from kffa_offboard.mavlink.vehicle import Vehicle
 from kffa_offboard.offboard.events import (
+    Announce,
     AttitudeTarget,
     EngageRequested,
     Event,
@@ -100,6 +102,10 @@ class Session:
         Reads and judges the vehicle's parameters; without it nothing is asked and nothing refused.
     guided_mode
         The mode of ArduPilot in which to fly.
+    companion
+        Who answers those that talk to us; left out, one without parameters and signals.
+    compare_clocks
+        Ask the autopilot for its time by TIMESYNC, from its first heartbeat on. Never in lock-step.
 
     """
 
@@ -114,6 +120,8 @@ class Session:
         on_connected: Sequence[Event] = (),
         parameters: ParameterKeeper | None = None,
         guided_mode: GuidedMode = "guided",
+        companion: Companion | None = None,
+        compare_clocks: bool = False,
     ) -> None:
         self.service = service
         self.link = link
@@ -130,6 +138,8 @@ class Session:
         self._observer = observer
         self._on_connected = tuple(on_connected)
         self._parameters = parameters
+        self._companion = companion or Companion(route)
+        self._compare_clocks = compare_clocks
 
     def read(self, datagram: Datagram) -> list[Message]:
         """Messages in a datagram. The first one of the target ties the link to its sender."""
@@ -154,6 +164,8 @@ class Session:
             self.tell(time_us, event)
             if isinstance(event, HeartbeatReceived) and not self.connected:
                 self.connected = True
+                if self._compare_clocks:
+                    self._companion.compare_clocks(time_us)
                 for waiting in self._on_connected:
                     self.tell(time_us, waiting)
         for request in self._vehicle.requests():
@@ -162,6 +174,9 @@ class Session:
             if message.get_type() in parameter_keeper.MESSAGES:
                 self._parameters.receive(time_us, message)
             self._follow_parameters(time_us)
+        for event in self._companion.receive(time_us, message):
+            self.tell(time_us, event)
+        self._reply(time_us)
 
     def tell(self, time_us: int, event: Event) -> None:
         """Do what is due before `time_us`, then hand an event to the service and send what it answers."""
@@ -182,12 +197,15 @@ class Session:
             if self._parameters is not None:
                 self._parameters.advance(due_us)
                 self._follow_parameters(due_us)
+            self._companion.advance(due_us)
+            self._reply(due_us)
 
     def next_deadline(self) -> int | None:
         """When `advance` must be called next, us; None if nothing is due without an event."""
         service = self.service.next_deadline() if self.service.finished is None else None
         own = None if self._parameters is None else self._parameters.due_us()
-        return min((due for due in (service, own) if due is not None), default=None)
+        dues = (service, own, self._companion.next_deadline())
+        return min((due for due in dues if due is not None), default=None)
 
     @property
     def done(self) -> bool:
@@ -232,6 +250,14 @@ class Session:
         for event in todo.events:
             self.tell(time_us, event)
 
+    def _reply(self, time_us: int) -> None:
+        """Send what the companion has to say."""
+        for reply in self._companion.take():
+            if isinstance(reply, Announce):
+                self._dispatch(time_us, [reply])
+            else:
+                self._transmit(time_us, reply)
+
     def answer_timesync(self, time_us: int, request: Message, own_time_ns: int) -> None:
         """Answer a TIMESYNC request of the target; others are not ours to answer."""
         if is_timesync_request(request) and self.route.from_target(request):
@@ -256,6 +282,7 @@ class Session:
             for message in messages:
                 sent = self._transmit(time_us, message)
                 self.counters.commands_sent += sent and isinstance(output, AttitudeTarget)
+            self._companion.note(output)
         if refusal is not None and self.refusal is None:
             # A service that asks for something unsendable must not keep control: once, it has to let go.
             self.refusal = refusal

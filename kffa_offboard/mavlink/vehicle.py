@@ -14,7 +14,15 @@ from kffa_offboard.mavlink.commands import EncodingError
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.px4 import Px4
 from kffa_offboard.mavlink.telemetry import TelemetryDecoder
-from kffa_offboard.offboard.events import Announce, Event, Firmware, Output, OwnHeartbeat, Signals
+from kffa_offboard.offboard.events import (
+    Announce,
+    Event,
+    Firmware,
+    Output,
+    OwnHeartbeat,
+    RequestRefused,
+    Signals,
+)
 
 LOG = logging.getLogger(__name__)
 
@@ -70,12 +78,12 @@ class Vehicle:
         return [] if self._autopilot is None else self._autopilot.requests()
 
     def encode(self, output: Output, time_us: int) -> list[Message]:
-        """Messages for an output; none for `Signals`, which belong in the log.
+        """Messages for an output; none for those that are for the log or for the companion.
 
         Raises EncodingError if it must not be sent, or cannot be yet.
         """
         match output:
-            case Signals():
+            case Signals() | RequestRefused():
                 return []
             case OwnHeartbeat():
                 return [commands.heartbeat(output)]

@@ -11,7 +11,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from enum import Enum
+from math import nan
 from typing import Literal, TypeAlias
+
+from kffa_offboard.offboard.settings import ServiceSettings
 
 Vector3: TypeAlias = tuple[float, float, float]
 Firmware: TypeAlias = Literal["px4", "ardupilot"]
@@ -135,9 +138,32 @@ class EngageRequested:
 
 @dataclass(frozen=True, slots=True)
 class ReleaseRequested:
-    """Somebody asks the daemon to give control back."""
+    """Somebody asks the daemon to give control back; with `stay` it may be asked to engage again."""
 
     reason: str
+    stay: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class GripperRequested:
+    """Somebody asks the daemon to grab or release the load."""
+
+    action: Literal["grab", "release"]
+
+
+@dataclass(frozen=True, slots=True)
+class SettingsChanged:
+    """Other numbers from now on; what the controller remembers stays."""
+
+    settings: ServiceSettings
+
+
+@dataclass(frozen=True, slots=True)
+class LinkMeasured:
+    """The autopilot's clock less ours [us], and how long a message and its answer take [s]."""
+
+    clock_offset_us: int
+    round_trip_s: float
 
 
 Event: TypeAlias = (
@@ -152,6 +178,9 @@ Event: TypeAlias = (
     | ParametersChecked
     | EngageRequested
     | ReleaseRequested
+    | GripperRequested
+    | SettingsChanged
+    | LinkMeasured
 )
 
 # --------------------------------------------------------------------------- messages out
@@ -210,6 +239,14 @@ class Announce:
 
 
 @dataclass(frozen=True, slots=True)
+class RequestRefused:
+    """What was just asked is not done; `final` if asking again cannot help. For whoever asked."""
+
+    reason: str
+    final: bool = False
+
+
+@dataclass(frozen=True, slots=True)
 class OwnHeartbeat:
     """The daemon's own heartbeat (component 191)."""
 
@@ -221,7 +258,8 @@ class Signals:
     """Inner signals of one control step, for the log and for live graphs.
 
     Each tuple is in channel order roll, pitch, yaw, altitude. `time_us` is the event's
-    arrival time; `command` is what was sent (or, in shadow, what would have been).
+    arrival time; `command` is what was sent (or, in shadow, what would have been). `latency_s` is the
+    time from taking the sample until the autopilot has the command; NaN while clocks are not compared.
     """
 
     time_us: int
@@ -237,8 +275,17 @@ class Signals:
     applied: tuple[float, ...]
     saturated: tuple[bool, ...] = field(default=(False, False, False, False))
     dt: float = 0.0
+    latency_s: float = nan
 
 
 Output: TypeAlias = (
-    AttitudeTarget | RequestMessageRates | SetMode | SetArmed | SetGripper | Announce | OwnHeartbeat | Signals
+    AttitudeTarget
+    | RequestMessageRates
+    | SetMode
+    | SetArmed
+    | SetGripper
+    | Announce
+    | RequestRefused
+    | OwnHeartbeat
+    | Signals
 )

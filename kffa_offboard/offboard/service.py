@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Literal
 
 from kffa_offboard.offboard import events, parameters, telemetry
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
@@ -33,6 +34,7 @@ from kffa_offboard.offboard.sequence import (
     retry_due,
 )
 from kffa_offboard.offboard.session import IDLE, SENDING, Finished, Session, State
+from kffa_offboard.offboard.tuning import adopt
 
 __all__ = ["Finished", "Service", "State"]
 
@@ -189,15 +191,32 @@ class Service(Session):
             case events.EngageRequested():
                 self._engage(time_us)
             case events.ReleaseRequested():
-                self._release(time_us, event.reason)
+                self._release(time_us, event.reason, event.stay)
             case events.ParametersChecked():
                 if event.complete:
                     self._emit(*parameters.announcements(self._parameters, event))
                     self._parameters = event
                 else:  # what was found before is not news when it is found again
                     self._parameters = replace(self._parameters, complete=False)
+            case events.GripperRequested():
+                self._work_gripper(time_us, event.action)
+            case events.SettingsChanged():
+                self._loop = adopt(self._loop, self.settings, event.settings)
+                self.settings = event.settings
+            case events.LinkMeasured():
+                self._link = event
             case events.StatusReceived():
                 pass  # the log has it
+
+    def _work_gripper(self, time_us: int, action: Literal["grab", "release"]) -> None:
+        """Somebody asks for the gripper, in control or not."""
+        if self.settings.shadow or self._known.heartbeat is None:
+            reason = "shadow mode" if self.settings.shadow else "no vehicle"
+            self._say(Severity.WARNING, f"gripper: {reason}")
+            self._emit(events.RequestRefused(reason, self.settings.shadow))
+            return
+        self._emit(events.SetGripper(action))
+        self._gripper_us = time_us + microseconds(self.settings.sequence.gripper_timeout_s)
 
     def _on_heartbeat(self, time_us: int, event: events.HeartbeatReceived) -> None:
         first = self._known.heartbeat is None
@@ -299,14 +318,14 @@ class Service(Session):
         self._loop, result = step_loop(self.settings, self._loop, self._known, order, time_us, dt)
         if order.sending and result.target is not None:
             self._emit(result.target)
-        self._emit(result.signals)
+        latency = telemetry.latency_s(self._known, self._link, time_us)
+        self._emit(replace(result.signals, latency_s=latency))
         if result.fault is not None:
             self._fault(time_us, result.fault)
             return
         if order.sending:
             for action in order.directive.gripper:
-                self._emit(events.SetGripper(action))
-                self._gripper_us = time_us + microseconds(self.settings.sequence.gripper_timeout_s)
+                self._work_gripper(time_us, action)
             if self.state is State.ENGAGED and order.directive.ending is not None:
                 self._end_flight(time_us, order.directive.ending, order.directive.reason)
 

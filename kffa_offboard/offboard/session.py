@@ -82,6 +82,8 @@ class Session:
         self._request_us: int | None = None
         self._requests = 0
         self._gripper_us: int | None = None
+        self._link: events.LinkMeasured | None = None
+        self._stay = False
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -145,6 +147,7 @@ class Session:
         refusal = self._refusal(time_us)
         if refusal is not None:
             self._say(Severity.WARNING, f"not engaged: {refusal}")
+            self._emit(events.RequestRefused(refusal, self.finished is not None or self.settings.shadow))
             forbidden = self._parameters.complete and parameters.unsafe(self._parameters) == refusal
             if forbidden and self.settings.engage:
                 self._finish(Finished(False, f"not engaged: {refusal}"))
@@ -160,6 +163,7 @@ class Session:
         self._flight = begin_flight(time_us, not grounded, altitude, known.attitude.attitude[2])
         self._loop = forget_sent(self._loop)
         self._said.clear()
+        self._stay = False
         self._armed_here = False
         self._capture = False
         self.state = State.ENGAGING
@@ -248,20 +252,21 @@ class Session:
             self._loop = forget_sent(self._loop)
 
     def _finish(self, outcome: Finished) -> None:
-        """The end of this run; a failsafe stays one."""
+        """The end of this run, unless the daemon is to stay at hand; a failsafe stays one."""
         self._let_go(State.FAILSAFE if self.state is State.FAILSAFE else State.READY)
         self._auto_engage = False
-        self.finished = outcome
+        self.finished = None if self._stay else outcome
         severity = Severity.NOTICE if outcome.successful else Severity.WARNING
         self._say(severity, f"released: {outcome.reason}")
 
     # ------------------------------------------------------------------------ releasing
 
-    def _release(self, time_us: int, reason: str) -> None:
+    def _release(self, time_us: int, reason: str, stay: bool) -> None:
         """Somebody asks the daemon to give control back."""
         outcome = Finished(True, reason)
+        self._stay = stay
         if self.state in IDLE:
-            if self.finished is None:
+            if self.finished is None and not stay:
                 self._finish(outcome)
         elif self.state is State.ENGAGING:
             assert self._engagement is not None
@@ -364,6 +369,7 @@ class Session:
         request = self._failsafe_request()
         self._say_farewell()
         self._let_go(State.FAILSAFE)
+        self._stay = False
         self._say(Severity.CRITICAL, f"failsafe: {reason}")
         self._outcome = Finished(False, f"failsafe: {reason}")
         if request is None:

@@ -9,12 +9,13 @@ samples count as arrived.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import cos, isfinite, pi
+from math import cos, isfinite, nan, pi
 
 from kffa_offboard.offboard.events import (
     AttitudeReceived,
     HeartbeatReceived,
     LandedStateReported,
+    LinkMeasured,
     PositionReceived,
     TargetReported,
     ThrottleReported,
@@ -22,6 +23,7 @@ from kffa_offboard.offboard.events import (
 from kffa_offboard.offboard.settings import LimitSettings, TelemetrySettings
 
 _WINDOW_US = 1_000_000  # over which rates are measured
+LONGEST_LATENCY_S = 10.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -288,3 +290,16 @@ def outside_limits(limits: LimitSettings, known: Telemetry, ground: float) -> st
             bounds = f"{limits.altitude_min_m:.1f} .. {limits.altitude_max_m:.1f}"
             return f"altitude {altitude:.1f} m outside {bounds}"
     return None
+
+
+def latency_s(known: Telemetry, link: LinkMeasured | None, time_us: int) -> float:
+    """From taking the attitude sample until a command that leaves at `time_us` is there, s.
+
+    The sample's age and half a round trip. NaN if clocks were not compared, or the answer makes no sense
+    (the autopilot was restarted).
+    """
+    if link is None or known.attitude is None:
+        return nan
+    age_us = time_us - (known.attitude.sample_time_us - link.clock_offset_us)
+    latency = age_us * 1e-6 + 0.5 * link.round_trip_s
+    return latency if 0.0 <= latency <= LONGEST_LATENCY_S else nan

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.config import DaemonConfig
-from kffa_offboard.config_log import recorded_keeper
+from kffa_offboard.config_log import make_companion, recorded_keeper
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.mavlink.commands import is_timesync_request
 from kffa_offboard.mavlink.component import Route
@@ -80,6 +80,7 @@ def replay(recording: Recording, config: DaemonConfig) -> Replayed:
     ids = config.link
     route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
     collector = _Collector(route)
+    lockstep = recording.header.lockstep
     session = Session(
         Service(config.service),
         _NoLink(),
@@ -87,8 +88,9 @@ def replay(recording: Recording, config: DaemonConfig) -> Replayed:
         recorder=collector,
         parameters=recorded_keeper(recording.header, config, route, recording.path),
         guided_mode=config.autopilot.ardupilot_mode,
+        companion=make_companion(config, route),
+        compare_clocks=not lockstep,
     )
-    lockstep = recording.header.lockstep
     session.advance(recording.begin_us)
     for time_us, item in recording.incoming:
         if is_request(item):

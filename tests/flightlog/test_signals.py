@@ -9,7 +9,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.flightlog.signals import BLOCKS, STATE_NAMES, from_message, is_signals, table, to_message
+from kffa_offboard.flightlog.signals import (
+    BLOCKS,
+    LIVE_ARRAY_ID,
+    STATE_NAMES,
+    from_message,
+    is_signals,
+    table,
+    to_message,
+)
 from kffa_offboard.offboard.events import Signals
 from kffa_offboard.offboard.service import State
 
@@ -19,6 +27,7 @@ signals_values = st.builds(
     time_us=st.integers(0, 2**63),
     state=st.sampled_from(STATE_NAMES),
     dt=st.floats(0.0, 0.25, width=32),
+    latency_s=st.floats(0.0, 10.0, width=32),
     saturated=st.tuples(*[st.booleans()] * 4),
     **{name: four for name in BLOCKS},
 )
@@ -46,11 +55,20 @@ def test_every_signal_survives_the_log(signals):
 
 
 def test_the_layout_in_the_log_is_the_documented_one():
-    message = over_the_wire(replace(EXAMPLE, dt=0.5, saturated=(False, True, False, True)))
+    message = over_the_wire(replace(EXAMPLE, dt=0.5, saturated=(False, True, False, True), latency_s=0.125))
     assert message.name == "kffa"
     assert message.array_id == 0
     assert message.data[:36] == [10.0 * block + channel for block in range(9) for channel in range(4)]
     assert message.data[36:42] == [3.0, 0.5, 0.0, 1.0, 0.0, 1.0]
+    assert message.data[57] == 0.125
+
+
+def test_a_latency_that_is_not_known_is_no_number_in_the_log():
+    assert math.isnan(from_message(over_the_wire(EXAMPLE)).latency_s)
+
+
+def test_signals_that_went_out_live_are_not_taken_for_the_logs_own():
+    assert not is_signals(to_message(EXAMPLE, LIVE_ARRAY_ID))
 
 
 def test_a_value_beyond_float32_is_logged_as_infinite_instead_of_stopping_the_flight():

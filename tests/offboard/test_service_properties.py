@@ -186,10 +186,13 @@ anything = st.one_of(
     st.builds(events.StatusReceived, st.integers(0, 7), st.text(max_size=5)),
     st.just(events.EngageRequested()),
     st.just(events.ReleaseRequested("asked")),
+    st.just(events.ReleaseRequested("asked", stay=True)),
+    st.builds(events.GripperRequested, st.sampled_from(["grab", "release"])),
+    st.builds(events.LinkMeasured, st.integers(-(10**9), 10**9), st.floats(0.0, 1.0)),
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(st.integers(0, 400_000), anything), max_size=40))
 def test_any_sequence_of_events_gives_the_same_outputs_again_and_calls_in_between_change_nothing(
     fake, sequence

@@ -134,11 +134,13 @@ def test_in_shadow_nothing_is_sent_but_requests_heartbeats_and_lines(fake):
     flight = fake.Lockstep(fake.settings(shadow=True), fake.airborne())
     flight.run(2.0)
     flight.give(events.EngageRequested())
+    flight.give(events.GripperRequested("release"))
     flight.run(1.0)
     flight.vehicle.mode = ModeKind.OFFBOARD
     flight.run(2.0)
     kinds = {type(output) for _, output in flight.log}
-    assert kinds == {events.RequestMessageRates, events.Announce, events.Signals, events.OwnHeartbeat}
+    to_vehicle = {events.RequestMessageRates, events.Announce, events.OwnHeartbeat}
+    assert kinds == to_vehicle | {events.Signals, events.RequestRefused}
 
 
 # ------------------------------------------------------------------------------ failsafe

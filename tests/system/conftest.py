@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from kffa_offboard.config import DaemonConfig, Overrides, bundled, load
-from kffa_offboard.config_log import flight_header
+from kffa_offboard.config_log import flight_header, make_companion
 from kffa_offboard.demo.metrics import Truth
 from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.mavlink.component import Route
@@ -40,7 +40,7 @@ DAEMON = "daemon"
 
 
 class LockStepLink:
-    """The daemon's link, with the vehicle right behind it."""
+    """The daemon's link, with the vehicle right behind it; the vehicle passes on what is `from_ground`."""
 
     name = "in-process"
     keeps_frames_whole = True
@@ -49,6 +49,7 @@ class LockStepLink:
     def __init__(self, vehicle: SimulatedVehicle, before_slot: Callable[[], None]) -> None:
         self.vehicle = vehicle
         self.sent: list[bytes] = []
+        self.from_ground: list[bytes] = []
         self._before_slot = before_slot
         vehicle.add_peer(DAEMON)
 
@@ -59,6 +60,8 @@ class LockStepLink:
         self._before_slot()
         self.vehicle.advance(self.vehicle.time_us + SLOT_US)
         frames = [data for peer, data in self.vehicle.outgoing() if peer in (None, DAEMON)]
+        frames += self.from_ground
+        self.from_ground.clear()
         frames.append(self.vehicle.time_request(DAEMON))
         return [Datagram(self.vehicle.time_us, frame, "vehicle") for frame in frames]
 
@@ -116,6 +119,7 @@ class LockStepFlight:
                 recorder=writer,
                 observer=lambda time_us, item: self.heard.append((time_us, item)),
                 parameters=self.parameters,
+                companion=make_companion(self.daemon, route),
                 guided_mode=self.daemon.autopilot.ardupilot_mode,
             )
             result = run_lock_step(self.session, lambda: self.vehicle.time_us, self.stop)

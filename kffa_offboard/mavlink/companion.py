@@ -1,0 +1,135 @@
+"""The daemon as a MAVLink component: parameters, commands, signals, clocks and pings, for whoever asks.
+
+Sans-I/O like the service: messages in, replies out. `Session` tells the service the events and sends the
+replies.
+"""
+
+from __future__ import annotations
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.mavlink.clock import REQUEST_PERIOD_US, ClockEstimate, take_answer, timesync_request
+from kffa_offboard.mavlink.command_server import CommandServer
+from kffa_offboard.mavlink.component import Message, Route
+from kffa_offboard.mavlink.parameter_server import ParameterServer, Reply
+from kffa_offboard.mavlink.signal_streams import SignalStreams, ToArray
+from kffa_offboard.offboard.events import Event, Output, Signals
+from kffa_offboard.offboard.tuning import Tuning
+
+
+class Companion:
+    """What component 191 says and does beside flying.
+
+    Parameters
+    ----------
+    route
+        Who we are.
+    tuning
+        The parameters; None for none.
+    signals_hz, to_array
+        See `SignalStreams`.
+
+    """
+
+    def __init__(
+        self,
+        route: Route,
+        *,
+        tuning: Tuning | None = None,
+        signals_hz: float = 0.0,
+        to_array: ToArray | None = None,
+    ) -> None:
+        self._route = route
+        self._parameters = ParameterServer(tuning)
+        self._streams = SignalStreams(signals_hz, to_array)
+        self._commands = CommandServer(route, self._parameters, self._streams)
+        self._clock = ClockEstimate()
+        self._request_us: int | None = None
+        self._result: int | None = None
+        self._replies: list[Reply] = []
+
+    def compare_clocks(self, time_us: int) -> None:
+        """Ask the autopilot for its time, from now on. Not in lock-step, where TIMESYNC is the barrier."""
+        self._request_us = time_us
+
+    def next_deadline(self) -> int | None:
+        """When `advance` must be called next; None if nothing is due by itself."""
+        due = (self._request_us, self._parameters.next_deadline())
+        return min((time_us for time_us in due if time_us is not None), default=None)
+
+    def advance(self, time_us: int) -> None:
+        """Do what is due at `time_us`."""
+        if self._request_us is not None and time_us >= self._request_us:
+            self._replies.append(timesync_request(time_us))
+            self._request_us = time_us + REQUEST_PERIOD_US
+        self._replies += self._parameters.advance(time_us)
+
+    def receive(self, time_us: int, message: Message) -> list[Event]:
+        """Take a message from anybody; return what the service is to be told."""
+        kind = message.get_type()
+        if kind in ("COMMAND_LONG", "COMMAND_INT"):
+            return self._command(time_us, message)
+        if kind == "TIMESYNC":
+            return self._timesync(time_us, message)
+        if kind == "PING":
+            self._ping(message)
+        elif kind.startswith("PARAM_"):
+            return self._parameter(time_us, kind, message)
+        return []
+
+    def note(self, output: Output) -> None:
+        """Take note of what the service says."""
+        if isinstance(output, Signals):
+            self._replies += self._streams.take(output)
+        refused = self._commands.note(output)
+        if refused is not None:
+            self._replies.append(refused)
+
+    def take(self) -> list[Reply]:
+        """Replies to be sent now. Call it when the service was told everything that `receive` returned."""
+        if self._result is not None:
+            done = self._commands.conclude(self._result)
+            self._replies += [done] if done is not None else []
+            self._result = None
+        replies, self._replies = self._replies, []
+        return replies
+
+    def _command(self, time_us: int, message: Message) -> list[Event]:
+        answer = self._commands.handle(time_us, message)
+        if answer is None:
+            return []
+        self._result = answer.result
+        self._replies += answer.replies
+        return list(answer.events)
+
+    def _timesync(self, time_us: int, message: Message) -> list[Event]:
+        if self._request_us is None or not self._route.from_target(message):
+            return []
+        before, self._clock = self._clock, take_answer(self._clock, time_us, message)
+        measured = self._clock.measured
+        return [measured] if measured is not None and self._clock is not before else []
+
+    def _ping(self, message: Message) -> None:
+        """Answer a request, which has no target; answers have one."""
+        if (message.target_system, message.target_component) == (0, 0):
+            sender = message.get_srcSystem(), message.get_srcComponent()
+            self._replies.append(mavlink.MAVLink_ping_message(message.time_usec, message.seq, *sender))
+
+    def _parameter(self, time_us: int, kind: str, message: Message) -> list[Event]:
+        """Requests to us; those for a list may be to all components of our system."""
+        if kind not in ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"):
+            return []
+        everybody = message.target_component == 0 and kind == "PARAM_REQUEST_LIST"
+        for_us = everybody or message.target_component == self._route.own_component
+        if message.target_system != self._route.own_system or not for_us:
+            return []
+        if kind == "PARAM_REQUEST_LIST":
+            self._parameters.request_list(time_us)
+            self.advance(time_us)
+        elif kind == "PARAM_REQUEST_READ":
+            self._replies += self._parameters.read(message)
+        else:
+            replies, events = self._parameters.set(message)
+            self._replies += replies
+            return list(events)
+        return []

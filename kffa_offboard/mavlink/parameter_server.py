@@ -1,0 +1,133 @@
+"""The daemon's tuning as MAVLink parameters: listed, read, set while flying.
+
+The parameter protocol with REAL32 values only. What a value may be is decided by the tuning, which is made
+from the configuration; a refused value is answered with the unchanged one and a STATUSTEXT with the reason.
+"""
+
+from __future__ import annotations
+
+from typing import TypeAlias
+
+import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.mavlink.component import Message
+from kffa_offboard.offboard.events import Announce, SettingsChanged, Severity
+from kffa_offboard.offboard.tuning import Tunable, Tuning, TuningProblem
+
+Reply: TypeAlias = Message | Announce
+"""What goes out to whoever asked: a message, or a text for everybody."""
+
+LIST_PERIOD_US = 50_000
+LIST_AT_ONCE = 5
+"""Of a list so many go out every `LIST_PERIOD_US`: 100 per second, 4 kB/s."""
+
+REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
+
+
+def decimal(value: float) -> float:
+    """The shortest decimal number that is this float32: 8.1, not 8.100000381."""
+    with np.errstate(over="ignore"):
+        return float(str(np.float32(value)))
+
+
+class ParameterServer:
+    """Answers the parameter protocol for one tuning; None has no parameters.
+
+    Attributes
+    ----------
+    tuning : the present values
+    """
+
+    def __init__(self, tuning: Tuning | None) -> None:
+        self.tuning = tuning
+        self._next_index: int | None = None
+        self._due_us = 0
+
+    @property
+    def tunables(self) -> tuple[Tunable, ...]:
+        """All parameters, by index."""
+        return () if self.tuning is None else self.tuning.tunables
+
+    def request_list(self, time_us: int) -> None:
+        """Begin the list, anew if one is under way."""
+        if self.tunables:
+            self._next_index, self._due_us = 0, time_us
+
+    def next_deadline(self) -> int | None:
+        """When the next part of the list is due."""
+        return None if self._next_index is None else self._due_us
+
+    def advance(self, time_us: int) -> list[Reply]:
+        """The part of the list that is due."""
+        if self._next_index is None or time_us < self._due_us:
+            return []
+        end = min(self._next_index + LIST_AT_ONCE, len(self.tunables))
+        part: list[Reply] = [self._value(index) for index in range(self._next_index, end)]
+        self._next_index = end if end < len(self.tunables) else None
+        self._due_us += LIST_PERIOD_US
+        return part
+
+    def read(self, message: Message) -> list[Reply]:
+        """Answer PARAM_REQUEST_READ: by index, or by name if the index is -1."""
+        index = message.param_index if message.param_index >= 0 else self._index(message.param_id)
+        if index is None or index >= len(self.tunables):
+            asked = message.param_id if index is None else f"index {index}"
+            return [Announce(Severity.WARNING, f"parameter {_shown(asked)}: not known")]
+        return [self._value(index)]
+
+    def set(self, message: Message) -> tuple[list[Reply], list[SettingsChanged]]:
+        """Answer PARAM_SET, and tell the service if anything is other than before."""
+        name = message.param_id
+        index = self._index(name)
+        if index is None or self.tuning is None:
+            return [Announce(Severity.WARNING, f"parameter {_shown(name)}: not known")], []
+        value, before = decimal(message.param_value), self.tunables[index].value
+        problem = None
+        if message.param_type != REAL32:
+            problem = f"type {message.param_type}: parameters are REAL32 ({REAL32})"
+        elif value != decimal(before):
+            try:
+                self.tuning = self.tuning.with_value(name, value)
+            except TuningProblem as error:
+                problem = f"{value:g}: {_reason(error)}"
+        if problem is not None:
+            return [self._value(index), Announce(Severity.WARNING, f"{name} refused: {problem}")], []
+        if value == decimal(before):
+            return [self._value(index)], []
+        said = Announce(Severity.INFO, f"{name} {before:g} -> {value:g}")
+        return [self._value(index), said], [SettingsChanged(self.tuning.settings)]
+
+    def store(self) -> str:
+        """Keep the values; says what was done. Raises TuningProblem."""
+        return self._some().stored()
+
+    def reset(self, *, stored: bool) -> list[SettingsChanged]:
+        """Back to the stored values, or to the configuration's own. Raises TuningProblem."""
+        before = self._some()
+        self.tuning = before.reread() if stored else before.original()
+        changed = self.tuning.tunables != before.tunables
+        return [SettingsChanged(self.tuning.settings)] if changed else []
+
+    def _some(self) -> Tuning:
+        if self.tuning is None:
+            raise TuningProblem("there are no parameters")
+        return self.tuning
+
+    def _index(self, name: str) -> int | None:
+        return next((k for k, tunable in enumerate(self.tunables) if tunable.name == name), None)
+
+    def _value(self, index: int) -> Message:
+        tunable = self.tunables[index]
+        return mavlink.MAVLink_param_value_message(
+            tunable.name.encode(), tunable.value, REAL32, len(self.tunables), index
+        )
+
+
+def _reason(error: TuningProblem) -> str:
+    """The finding without the key and value before it: both are in the text already."""
+    return str(error).rpartition(": ")[2]
+
+
+def _shown(text: str) -> str:
+    return "".join(character if character.isprintable() else "?" for character in text)

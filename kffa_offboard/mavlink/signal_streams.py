@@ -1,0 +1,104 @@
+"""The controller's inner signals on the wire, thinned to a set rate, for ground stations to graph.
+
+DEBUG_FLOAT_ARRAY has everything, in the layout of `flightlog/signals.py` (array_id 1 tells it from the log's
+own, which has every step); NAMED_VALUE_FLOAT has the most wanted values one by one. Values are in the
+controller's axes and units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.mavlink.component import Message
+from kffa_offboard.offboard.events import Signals
+
+DEBUG_FLOAT_ARRAY = mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY
+NAMED_VALUE_FLOAT = mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
+
+CHANNEL_NAMES = ("roll", "pitch", "yaw", "alt")
+SIGNAL_NAMES = {
+    "ref": "reference",
+    "est": "estimate",
+    "dist": "disturbance",
+    "wc": "omega_c",
+    "cmd": "command",
+}
+"""Ending of a name on the wire -> field of `Signals`; with the channel before it 10 characters at most."""
+
+ToArray = Callable[[Signals], Message]
+"""Packs signals as DEBUG_FLOAT_ARRAY; it belongs to the log, which this layer does not know."""
+
+
+def named_values(signals: Signals) -> list[tuple[str, float]]:
+    """Names and values: ``roll_ref``, ..., ``alt_cmd``, and ``latency_s``."""
+    values = [
+        (f"{channel}_{ending}", float(getattr(signals, name)[k]))
+        for ending, name in SIGNAL_NAMES.items()
+        for k, channel in enumerate(CHANNEL_NAMES)
+    ]
+    return [*values, ("latency_s", signals.latency_s)]
+
+
+def named_messages(signals: Signals) -> list[Message]:
+    """One NAMED_VALUE_FLOAT for each of `named_values`; `time_boot_ms` is our own clock's."""
+    time_ms = signals.time_us // 1000 % 2**32
+    return [
+        mavlink.MAVLink_named_value_float_message(time_ms, name.encode(), value)
+        for name, value in named_values(signals)
+    ]
+
+
+class SignalStreams:
+    """Which signals go out, and when.
+
+    Parameters
+    ----------
+    rate_hz
+        Rate of both streams until somebody asks for another; 0 for none.
+    to_array
+        See `ToArray`; None for no DEBUG_FLOAT_ARRAY.
+
+    """
+
+    def __init__(self, rate_hz: float, to_array: ToArray | None) -> None:
+        self._default_us = round(1e6 / rate_hz) if rate_hz > 0.0 else -1
+        self._packers: dict[int, Callable[[Signals], list[Message]]] = {NAMED_VALUE_FLOAT: named_messages}
+        if to_array is not None:
+            self._packers[DEBUG_FLOAT_ARRAY] = lambda signals: [to_array(signals)]
+        self._interval_us = dict.fromkeys(self._packers, self._default_us)
+        self._due_us: dict[int, int] = {}
+        self._last: Signals | None = None
+
+    @property
+    def message_ids(self) -> frozenset[int]:
+        """The streams that there are."""
+        return frozenset(self._packers)
+
+    def interval_us(self, message_id: int) -> int:
+        """Present interval; -1 if the stream is off."""
+        return self._interval_us[message_id]
+
+    def set_interval(self, message_id: int, interval_us: int) -> None:
+        """As MAV_CMD_SET_MESSAGE_INTERVAL: 0 is the default rate, -1 is off."""
+        self._interval_us[message_id] = self._default_us if interval_us == 0 else interval_us
+        self._due_us.pop(message_id, None)
+
+    def latest(self, message_id: int) -> list[Message]:
+        """The last signals once; none before the first control step."""
+        return [] if self._last is None else self._packers[message_id](self._last)
+
+    def take(self, signals: Signals) -> list[Message]:
+        """What is to be sent of one control step. Intervals keep their grid: none is lost to rounding."""
+        self._last = signals
+        messages: list[Message] = []
+        for message_id, pack in self._packers.items():
+            interval_us = self._interval_us[message_id]
+            due_us = self._due_us.get(message_id, signals.time_us)
+            if interval_us < 0 or signals.time_us < due_us:
+                continue
+            late = signals.time_us - due_us > interval_us
+            self._due_us[message_id] = (signals.time_us if late else due_us) + interval_us
+            messages += pack(signals)
+        return messages

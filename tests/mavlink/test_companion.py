@@ -1,0 +1,234 @@
+"""The daemon as a component among others, message by message, with the real service behind it."""
+
+import math
+from dataclasses import replace
+from statistics import median
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.cli_run import make_companion
+from kffa_offboard.config import bundled, load
+from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.session import Session
+from kffa_offboard.offboard.events import Signals
+from kffa_offboard.offboard.service import Service
+
+CONFIG = load(bundled("demo-px4.toml"))
+START_US = 1_700_000_000_000_000
+LATE_US = 30_000  # age of a sample when it arrives
+
+
+class ListLink:
+    name = "test"
+    keeps_frames_whole = True
+    trouble = ""
+
+    def __init__(self):
+        self.sent = []
+
+    def send(self, data):
+        self.sent.append(data)
+        return True
+
+    def lock(self, source):
+        pass
+
+
+class Talk:
+    """A session with a scripted PX4 in the air, its telemetry, and a ground station."""
+
+    def __init__(self, scripted, read, **options):
+        self.autopilot, self.ground = scripted(), scripted(255, 190)
+        self._scripted, self._read = scripted, read
+        self.time_us = START_US
+        self.link, self.signals = ListLink(), []
+        self.session = Session(
+            Service(CONFIG.service),
+            self.link,
+            Route(),
+            companion=make_companion(CONFIG, Route()),
+            observer=lambda time_us, item: self.signals.append(item) if isinstance(item, Signals) else None,
+            **options,
+        )
+        self.hear(self.autopilot, scripted.heartbeat(armed=True))
+
+    def hear(self, sender, message):
+        self.session.handle(self.time_us, self._read(sender.pack(message))[0])
+
+    def telemetry(self, seconds):
+        """Attitude and position at 100 Hz, sampled `LATE_US` before they arrive; a heartbeat each second."""
+        for k in range(round(seconds * 100)):
+            self.time_us += 10_000
+            self.session.advance(self.time_us)
+            boot_ms = (self.time_us - START_US + 10_000_000 - LATE_US) // 1000
+            self.hear(self.autopilot, self._scripted.attitude(boot_ms))
+            position = mavlink.MAVLink_local_position_ned_message(boot_ms, 0, 0, -5.0, 0, 0, 0)
+            self.hear(self.autopilot, position)
+            if k % 100 == 0:
+                self.hear(self.autopilot, self._scripted.heartbeat(armed=True))
+
+    def sent(self, kind):
+        frames = [self._read(data)[0] for data in self.link.sent]
+        return [message for message in frames if message.get_type() == kind]
+
+
+@pytest.fixture
+def talk(scripted, read):
+    return Talk(scripted, read)
+
+
+def command(number, *parameters, system=245, component=191, again=0):
+    padded = (*parameters, *[0.0] * (7 - len(parameters)))
+    return mavlink.MAVLink_command_long_message(system, component, number, again, *padded)
+
+
+def test_latency_is_the_samples_age_and_the_way_out(scripted, read):
+    talk = Talk(scripted, read, compare_clocks=True)
+    talk.telemetry(0.2)
+    assert math.isnan(talk.signals[-1].latency_s)
+    round_trips_s = []
+    for _ in range(5):
+        talk.telemetry(0.5)
+        asked = talk.sent("TIMESYNC")[-1]
+        asked_us = asked.ts1 // 1000
+        talk.time_us = max(talk.time_us, asked_us + 24_000)
+        round_trips_s.append((talk.time_us - asked_us) * 1e-6)
+        # As long there as back; the autopilot had been running for 10 s at the start.
+        there_us = (asked_us + talk.time_us) // 2 - START_US + 10_000_000
+        talk.hear(talk.autopilot, scripted.timesync(asked.ts1, there_us * 1000))
+    talk.telemetry(0.1)
+    way_out_s = median(round_trips_s) / 2
+    assert talk.signals[-1].latency_s == pytest.approx(LATE_US * 1e-6 + way_out_s, abs=1e-3)
+
+
+def test_clocks_are_compared_twice_a_second_and_never_unless_told(scripted, read, talk):
+    talk.telemetry(3.0)
+    assert talk.sent("TIMESYNC") == []
+    comparing = Talk(scripted, read, compare_clocks=True)
+    comparing.telemetry(3.0)
+    requests = comparing.sent("TIMESYNC")
+    assert [(message.tc1, message.ts1 // 1000 - START_US) for message in requests] == [
+        (0, 500_000 * k) for k in range(7)
+    ]
+
+
+def test_a_restarted_autopilots_clock_gives_no_latency_instead_of_a_wrong_one(scripted, read):
+    talk = Talk(scripted, read, compare_clocks=True)
+    talk.telemetry(0.5)
+    asked = talk.sent("TIMESYNC")[-1]
+    talk.hear(talk.autopilot, scripted.timesync(asked.ts1, 10**18))
+    talk.telemetry(0.1)
+    assert math.isnan(talk.signals[-1].latency_s)
+
+
+def test_only_we_are_addressed(talk):
+    for system, component in ((1, 1), (245, 1), (245, 0), (0, 191), (0, 0)):
+        asked = command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0, system=system, component=component)
+        talk.hear(talk.ground, asked)
+        talk.hear(talk.ground, mavlink.MAVLink_param_set_message(system, component, b"ALT_OMEGA_C", 5.0, 9))
+    assert talk.sent("COMMAND_ACK") == talk.sent("PARAM_VALUE") == talk.sent("STATUSTEXT") == []
+
+
+def test_engaging_too_early_is_temporarily_rejected_and_later_accepted(talk):
+    engage = mavlink.MAV_CMD_NAV_GUIDED_ENABLE
+    talk.hear(talk.ground, command(engage, 1.0))
+    talk.telemetry(2.0)
+    talk.hear(talk.autopilot, mavlink.MAVLink_extended_sys_state_message(0, 2))
+    talk.hear(talk.ground, command(engage, 1.0))
+    acks = [(m.result, m.target_system, m.target_component) for m in talk.sent("COMMAND_ACK")]
+    assert acks == [
+        (mavlink.MAV_RESULT_TEMPORARILY_REJECTED, 255, 190),
+        (mavlink.MAV_RESULT_ACCEPTED, 255, 190),
+    ]
+    assert any(message.text.startswith("not engaged: ") for message in talk.sent("STATUSTEXT"))
+
+
+def test_engaging_in_shadow_mode_is_denied_for_good(scripted, read):
+    talk = Talk(scripted, read)
+    talk.session.service.settings = replace(CONFIG.service, shadow=True)
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0))
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_DO_GRIPPER, 1.0, 0.0))
+    assert [message.result for message in talk.sent("COMMAND_ACK")] == [mavlink.MAV_RESULT_DENIED] * 2
+
+
+def test_a_repeated_command_is_answered_again_but_a_new_one_is_done(talk):
+    release = command(mavlink.MAV_CMD_DO_GRIPPER, 1.0, 0.0)
+    talk.hear(talk.ground, release)
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_DO_GRIPPER, 1.0, 0.0, again=1))
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_DO_GRIPPER, 1.0, 1.0, again=1))
+    talk.hear(talk.ground, release)
+    assert len(talk.sent("COMMAND_ACK")) == 4
+    grippers = [m for m in talk.sent("COMMAND_LONG") if m.command == mavlink.MAV_CMD_DO_GRIPPER]
+    assert [message.param2 for message in grippers] == [0.0, 1.0, 0.0]
+
+
+def test_command_int_is_understood_too(talk):
+    version = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
+    asked = (245, 191, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 0, version, 0, 0, 0, 0, 0, 0)
+    talk.hear(talk.ground, mavlink.MAVLink_command_int_message(*asked))
+    assert len(talk.sent("AUTOPILOT_VERSION")) == len(talk.sent("COMMAND_ACK")) == 1
+
+
+def test_storing_without_a_file_fails_with_the_remedy(talk):
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 1.0))
+    assert talk.sent("COMMAND_ACK")[0].result == mavlink.MAV_RESULT_FAILED
+    text = "".join(message.text for message in talk.sent("STATUSTEXT"))
+    assert text == "nowhere to store: no [parameters] file in the configuration"
+
+
+def test_a_daemon_without_parameters_says_so(scripted, read):
+    talk = Talk(scripted, read)
+    talk.session = Session(Service(CONFIG.service), talk.link, Route())
+    talk.hear(talk.ground, mavlink.MAVLink_param_request_list_message(245, 191))
+    talk.hear(talk.ground, mavlink.MAVLink_param_request_read_message(245, 191, b"ALT_OMEGA_C", -1))
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2.0))
+    assert talk.sent("PARAM_VALUE") == []
+    assert talk.sent("COMMAND_ACK")[0].result == mavlink.MAV_RESULT_FAILED
+
+
+number = st.floats(width=32) | st.integers(-5, 600).map(float)
+names = st.sampled_from([tunable.name.encode() for tunable in CONFIG.tuning.tunables])
+byte, index = st.integers(0, 255), st.integers(-(2**15), 2**15 - 1)
+ours = st.just(245), st.just(191) | byte
+commands = st.sampled_from([92, 211, 245, 510, 511, 512]) | st.integers(0, 2**16 - 1)
+anything = st.one_of(
+    st.builds(
+        mavlink.MAVLink_param_set_message,
+        *ours,
+        names | st.binary(max_size=16),
+        number,
+        st.just(9) | byte,
+    ),
+    st.builds(mavlink.MAVLink_param_request_read_message, *ours, names | st.binary(max_size=16), index),
+    st.builds(mavlink.MAVLink_param_request_list_message, *ours),
+    st.builds(mavlink.MAVLink_command_long_message, *ours, commands, st.integers(0, 2), *[number] * 7),
+    st.builds(
+        mavlink.MAVLink_command_int_message,
+        *ours,
+        byte,
+        commands,
+        byte,
+        byte,
+        *[number] * 4,
+        *[st.integers(-(2**31), 2**31 - 1)] * 2,
+        number,
+    ),
+    st.builds(mavlink.MAVLink_ping_message, st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1), byte, byte),
+    st.builds(mavlink.MAVLink_timesync_message, *[st.integers(-(2**63), 2**63 - 1)] * 2),
+)
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(anything, max_size=12), st.booleans())
+def test_whatever_somebody_sends_the_daemon_flies_on(scripted, read, messages, as_autopilot):
+    talk = Talk(scripted, read, compare_clocks=True)
+    for message in messages:
+        talk.hear(talk.autopilot if as_autopilot else talk.ground, message)
+        talk.telemetry(0.03)
+    before = len(talk.signals)
+    talk.telemetry(0.1)
+    assert len(talk.signals) > before or talk.session.service.finished is not None
+    assert talk.session.refusal is None
