@@ -158,6 +158,9 @@ class FlightTable(Table):
     touchdown_climb_rate_m_s: Speed = _FLIGHT.touchdown_climb_rate_m_s
     touchdown_time_s: Timeout = _FLIGHT.touchdown_time_s
     touchdown_ramp_s: Interval = _FLIGHT.touchdown_ramp_s
+    setpoint_speed_m_s: Speed = _FLIGHT.setpoint_speed_m_s
+    setpoint_climb_rate_m_s: Speed = _FLIGHT.setpoint_climb_rate_m_s
+    setpoint_timeout_s: Timeout = _FLIGHT.setpoint_timeout_s
 
 
 class FailsafeTable(Table):
@@ -231,6 +234,17 @@ class HoldTable(Table):
     def segment(self) -> segments.Segment:
         """The segment that the service flies."""
         return segments.Hold(self.duration_s)
+
+
+class ExternalTable(Table):
+    """Hold for `duration_s` and follow setpoints from outside meanwhile."""
+
+    type: Literal["external"]
+    duration_s: Annotated[float, number("s", above=0.0)] = Field(description="how long to follow them")
+
+    def segment(self) -> segments.Segment:
+        """The segment that the service flies."""
+        return segments.External(self.duration_s)
 
 
 class WaveTable(Table):
@@ -337,7 +351,15 @@ class LandTable(Table):
 
 
 SegmentTable = Annotated[
-    TakeoffTable | HoldTable | StepTable | TriangleTable | SineTable | MoveTable | GripperTable | LandTable,
+    TakeoffTable
+    | HoldTable
+    | ExternalTable
+    | StepTable
+    | TriangleTable
+    | SineTable
+    | MoveTable
+    | GripperTable
+    | LandTable,
     Field(discriminator="type"),
 ]
 

@@ -12,9 +12,13 @@ from kffa_offboard.mavlink.clock import REQUEST_PERIOD_US, ClockEstimate, take_a
 from kffa_offboard.mavlink.command_server import CommandServer
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.parameter_server import ParameterServer, Reply
+from kffa_offboard.mavlink.setpoints import SetpointRefused, read_setpoint
 from kffa_offboard.mavlink.signal_streams import SignalStreams, ToArray
-from kffa_offboard.offboard.events import Event, Output, Signals
+from kffa_offboard.offboard.events import Announce, Event, Output, Severity, Signals
 from kffa_offboard.offboard.tuning import Tuning
+
+MOST_REASONS = 20
+"""So many different reasons for refusing setpoints are said in one run."""
 
 
 class Companion:
@@ -47,6 +51,7 @@ class Companion:
         self._request_us: int | None = None
         self._result: int | None = None
         self._replies: list[Reply] = []
+        self._said: set[str] = set()
 
     def compare_clocks(self, time_us: int) -> None:
         """Ask the autopilot for its time, from now on. Not in lock-step, where TIMESYNC is the barrier."""
@@ -75,7 +80,7 @@ class Companion:
             self._ping(message)
         elif kind.startswith("PARAM_"):
             return self._parameter(time_us, kind, message)
-        return []
+        return self._setpoint(message)
 
     def note(self, output: Output) -> None:
         """Take note of what the service says."""
@@ -108,6 +113,17 @@ class Companion:
         before, self._clock = self._clock, take_answer(self._clock, time_us, message)
         measured = self._clock.measured
         return [measured] if measured is not None and self._clock is not before else []
+
+    def _setpoint(self, message: Message) -> list[Event]:
+        """Setpoints come many times a second: each reason for refusing one is said once."""
+        try:
+            setpoint = read_setpoint(self._route, message)
+        except SetpointRefused as refused:
+            if str(refused) not in self._said and len(self._said) < MOST_REASONS:
+                self._said.add(str(refused))
+                self._replies.append(Announce(Severity.WARNING, str(refused)))
+            return []
+        return [] if setpoint is None else [setpoint]
 
     def _ping(self, message: Message) -> None:
         """Answer a request, which has no target; answers have one."""

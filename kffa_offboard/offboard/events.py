@@ -166,6 +166,24 @@ class LinkMeasured:
     round_trip_s: float
 
 
+@dataclass(frozen=True, slots=True)
+class PositionSetpoint:
+    """Go to x, y and z [m] from the estimator's origin, heading `yaw` [rad]; None leaves it as it is.
+
+    x and y come together or not at all.
+    """
+
+    position: tuple[float | None, float | None, float | None]
+    yaw: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class AttitudeSetpoint:
+    """Fly with this attitude [rad]; the height is held."""
+
+    attitude: Vector3
+
+
 Event: TypeAlias = (
     HeartbeatReceived
     | AttitudeReceived
@@ -181,6 +199,8 @@ Event: TypeAlias = (
     | GripperRequested
     | SettingsChanged
     | LinkMeasured
+    | PositionSetpoint
+    | AttitudeSetpoint
 )
 
 # --------------------------------------------------------------------------- messages out

@@ -65,3 +65,15 @@ def profile_altitude(profile: Profile, time_s: float) -> float:
     moved = profile.initial * up + 0.5 * profile.acceleration * up**2
     moved += profile.peak * (level + down) - 0.5 * profile.acceleration * down**2
     return profile.start + (moved if profile.target >= profile.start else -moved)
+
+
+def profile_speed(profile: Profile, time_s: float) -> float:
+    """Speed of the profile `time_s` after its beginning, m/s, up positive."""
+    rise, cruise, fall = profile.times
+    if time_s >= rise + cruise + fall:
+        return 0.0
+    if time_s < rise:
+        speed = profile.initial + profile.acceleration * max(time_s, 0.0)
+    else:
+        speed = profile.peak - profile.acceleration * max(time_s - rise - cruise, 0.0)
+    return speed if profile.target >= profile.start else -speed

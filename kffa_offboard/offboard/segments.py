@@ -31,6 +31,11 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
+class External(Hold):
+    """A hold during which setpoints from outside are followed."""
+
+
+@dataclass(frozen=True, slots=True)
 class Step:
     """Step one channel by `amplitude` (rad or m) for `duration_s`, then step back."""
 

@@ -11,20 +11,20 @@ Rules, each kept in one place:
   not stored but follow from the state, so none can be forgotten or outlive its reason;
 - after giving up control nothing is sent until somebody asks again (PX4 would return to OFFBOARD).
 
-`session.py` holds the other half: taking and giving back control.
+`session.py` holds the other half, taking and giving back control; `request_session.py` what others ask for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Literal
 
 from kffa_offboard.offboard import events, parameters, telemetry
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
 from kffa_offboard.offboard.horizontal import astray, position_jump
 from kffa_offboard.offboard.loop import Order, begin_loop, step_loop
+from kffa_offboard.offboard.request_session import RequestSession
 from kffa_offboard.offboard.sequence import (
     EngagePhase,
     accept_retry,
@@ -33,15 +33,14 @@ from kffa_offboard.offboard.sequence import (
     mode_granted,
     retry_due,
 )
-from kffa_offboard.offboard.session import IDLE, SENDING, Finished, Session, State
-from kffa_offboard.offboard.tuning import adopt
+from kffa_offboard.offboard.session import IDLE, SENDING, Finished, State
 
 __all__ = ["Finished", "Service", "State"]
 
 Deadline = tuple[int, Callable[[int], None]]
 
 
-class Service(Session):
+class Service(RequestSession):
     """The one place that holds state between events; all values inside are frozen.
 
     Give it every event with its arrival time (microseconds of any clock that does not go back), call
@@ -198,25 +197,10 @@ class Service(Session):
                     self._parameters = event
                 else:  # what was found before is not news when it is found again
                     self._parameters = replace(self._parameters, complete=False)
-            case events.GripperRequested():
-                self._work_gripper(time_us, event.action)
-            case events.SettingsChanged():
-                self._loop = adopt(self._loop, self.settings, event.settings)
-                self.settings = event.settings
-            case events.LinkMeasured():
-                self._link = event
             case events.StatusReceived():
                 pass  # the log has it
-
-    def _work_gripper(self, time_us: int, action: Literal["grab", "release"]) -> None:
-        """Somebody asks for the gripper, in control or not."""
-        if self.settings.shadow or self._known.heartbeat is None:
-            reason = "shadow mode" if self.settings.shadow else "no vehicle"
-            self._say(Severity.WARNING, f"gripper: {reason}")
-            self._emit(events.RequestRefused(reason, self.settings.shadow))
-            return
-        self._emit(events.SetGripper(action))
-        self._gripper_us = time_us + microseconds(self.settings.sequence.gripper_timeout_s)
+            case _:
+                self._on_request(time_us, event)
 
     def _on_heartbeat(self, time_us: int, event: events.HeartbeatReceived) -> None:
         first = self._known.heartbeat is None
@@ -325,7 +309,7 @@ class Service(Session):
             return
         if order.sending:
             for action in order.directive.gripper:
-                self._work_gripper(time_us, action)
+                self._gripper_requested(time_us, action)
             if self.state is State.ENGAGED and order.directive.ending is not None:
                 self._end_flight(time_us, order.directive.ending, order.directive.reason)
 
@@ -341,9 +325,11 @@ class Service(Session):
             directive = self._idle()
         else:
             segments = self.settings.scenario if self.state is State.ENGAGED else ()
+            self._follow_setpoints(time_us)
             self._flight, directive = step_flight(
                 self.settings, segments, self._flight, self._flight_sample(time_us)
             )
+            directive = self._with_attitude_setpoint(directive)
         airborne = directive.ground_thrust is None
         return Order(directive, self.state.value, sending=True, acting=True, airborne=airborne)
 

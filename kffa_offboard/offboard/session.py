@@ -11,6 +11,7 @@ from enum import Enum
 
 from kffa_offboard.offboard import events, parameters, sequence, telemetry
 from kffa_offboard.offboard.events import Announce, ModeKind, Output, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.external import External
 from kffa_offboard.offboard.farewell import farewell
 from kffa_offboard.offboard.flight import (
     Ending,
@@ -84,6 +85,7 @@ class Session:
         self._gripper_us: int | None = None
         self._link: events.LinkMeasured | None = None
         self._stay = False
+        self._external: External | None = None
 
     @property
     def counts(self) -> tuple[int, int, int]:
@@ -246,6 +248,7 @@ class Session:
         self.state = state
         self._engagement = None
         self._flight = None
+        self._external = None
         self._retry = None
         self._gripper_us = None
         if self._loop is not None:

@@ -186,6 +186,8 @@ class FlightSettings:
     touchdown_thrust_fraction, touchdown_climb_rate_m_s, touchdown_time_s : vertical thrust below this
         fraction of hover thrust (or the autopilot says "on ground") and slower than this, for so long
     touchdown_ramp_s : thrust to zero after touch-down
+    setpoint_speed_m_s, setpoint_climb_rate_m_s : on the way to a position that is asked for from outside
+    setpoint_timeout_s : an attitude that is asked for from outside lasts so long
     """
 
     px4_spool_time_s: float = 1.0
@@ -206,6 +208,9 @@ class FlightSettings:
     touchdown_climb_rate_m_s: float = 0.15
     touchdown_time_s: float = 0.4
     touchdown_ramp_s: float = 0.3
+    setpoint_speed_m_s: float = 2.0
+    setpoint_climb_rate_m_s: float = 1.0
+    setpoint_timeout_s: float = 0.5
 
     def __post_init__(self) -> None:
         _require(self, "flight")

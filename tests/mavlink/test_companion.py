@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.cli_run import make_companion
+from kffa_offboard.config_log import make_companion
 from kffa_offboard.config import bundled, load
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.session import Session
@@ -215,6 +215,22 @@ anything = st.one_of(
         *[number] * 4,
         *[st.integers(-(2**31), 2**31 - 1)] * 2,
         number,
+    ),
+    st.builds(
+        mavlink.MAVLink_set_position_target_local_ned_message,
+        st.integers(0, 2**32 - 1),
+        *ours,
+        st.just(1) | byte,
+        st.sampled_from([2552, 2555, 2556, 3576]) | st.integers(0, 2**16 - 1),
+        *[number] * 11,
+    ),
+    st.builds(
+        mavlink.MAVLink_set_attitude_target_message,
+        st.integers(0, 2**32 - 1),
+        *ours,
+        st.just(71) | byte,
+        st.just((1.0, 0.0, 0.0, 0.0)) | st.tuples(*[number] * 4),
+        *[number] * 4,
     ),
     st.builds(mavlink.MAVLink_ping_message, st.integers(0, 2**64 - 1), st.integers(0, 2**32 - 1), byte, byte),
     st.builds(mavlink.MAVLink_timesync_message, *[st.integers(-(2**63), 2**63 - 1)] * 2),

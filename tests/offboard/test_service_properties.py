@@ -188,6 +188,8 @@ anything = st.one_of(
     st.just(events.ReleaseRequested("asked")),
     st.just(events.ReleaseRequested("asked", stay=True)),
     st.builds(events.GripperRequested, st.sampled_from(["grab", "release"])),
+    st.builds(events.PositionSetpoint, st.tuples(*[st.none() | st.floats()] * 3), st.none() | st.floats()),
+    st.builds(events.AttitudeSetpoint, st.tuples(*[st.floats()] * 3)),
     st.builds(events.LinkMeasured, st.integers(-(10**9), 10**9), st.floats(0.0, 1.0)),
 )
 

@@ -1,0 +1,103 @@
+"""What others ask of the service beside engaging and releasing: gripper, other numbers, setpoints.
+
+Setpoints from outside are followed while engaged, in the air, and only if the configuration leaves room for
+them: without a scenario, or in a segment "external".
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Literal
+
+from kffa_offboard.offboard import events, external
+from kffa_offboard.offboard.events import AttitudeSetpoint, Event, PositionSetpoint, Severity
+from kffa_offboard.offboard.flight import Directive, Phase
+from kffa_offboard.offboard.reference import current_segment
+from kffa_offboard.offboard.segments import External
+from kffa_offboard.offboard.sequence import microseconds
+from kffa_offboard.offboard.session import Session, State
+from kffa_offboard.offboard.tuning import adopt
+
+
+class RequestSession(Session):
+    """The part of the service that answers requests; use `service.Service`."""
+
+    def _on_request(self, time_us: int, event: Event) -> None:
+        match event:
+            case events.GripperRequested():
+                self._gripper_requested(time_us, event.action)
+            case events.SettingsChanged():
+                self._loop = adopt(self._loop, self.settings, event.settings)
+                self.settings = event.settings
+            case events.LinkMeasured():
+                self._link = event
+            case PositionSetpoint() | AttitudeSetpoint():
+                self._on_setpoint(time_us, event)
+            case _:
+                pass
+
+    def _gripper_requested(self, time_us: int, action: Literal["grab", "release"]) -> None:
+        """Somebody asks for the gripper, in control or not."""
+        if self.settings.shadow or self._known.heartbeat is None:
+            reason = "shadow mode" if self.settings.shadow else "no vehicle"
+            self._say(Severity.WARNING, f"gripper: {reason}")
+            self._emit(events.RequestRefused(reason, self.settings.shadow))
+            return
+        self._emit(events.SetGripper(action))
+        self._gripper_us = time_us + microseconds(self.settings.sequence.gripper_timeout_s)
+
+    # ------------------------------------------------------------------------ setpoints
+
+    def _not_following(self) -> str | None:
+        """Why setpoints from outside are not followed now."""
+        if self.state is not State.ENGAGED or self._flight is None:
+            return "not engaged"
+        if self._flight.phase is not Phase.AIR:
+            return "not in the air"
+        scenario = self.settings.scenario
+        segment = current_segment(scenario, self._flight.scenario)
+        return "the scenario is flown" if scenario and not isinstance(segment, External) else None
+
+    def _on_setpoint(self, time_us: int, setpoint: PositionSetpoint | AttitudeSetpoint) -> None:
+        refusal = self._not_following()
+        if refusal is None:
+            assert self._flight is not None
+            refusal = external.refusal(self.settings, setpoint, self._flight.scenario.ground)
+        if refusal is not None:
+            self._say_once(Severity.WARNING, f"setpoint not followed: {refusal}")
+            return
+        assert self._flight is not None
+        if isinstance(setpoint, AttitudeSetpoint):
+            self._external = external.lean(self._external, setpoint, time_us)
+            return
+        scenario, captured = self._flight.scenario, self._captured
+        x, y = captured[0] + scenario.offset[0], captured[1] + scenario.offset[1]
+        here = (x, y, scenario.hold_altitude)
+        flight = self.settings.flight
+        self._external = external.go_to(flight, self._external, setpoint, here, time_us)
+
+    @property
+    def _captured(self) -> tuple[float, float]:
+        """Where the offset of the set point counts from, m."""
+        horizontal = None if self._loop is None else self._loop.horizontal
+        return (0.0, 0.0) if horizontal is None else horizontal.captured
+
+    def _follow_setpoints(self, time_us: int) -> None:
+        """Move the scenario's hold to where the setpoints from outside want it."""
+        if self._external is None:
+            return
+        if self._not_following() is not None:
+            self._external = None
+            return
+        assert self._flight is not None
+        if external.expired(self.settings.flight, self._external, time_us):
+            self._external = replace(self._external, attitude=None)
+            self._say(Severity.NOTICE, "no attitude setpoints: level")
+        moved = external.hold(self._external, self._flight.scenario, self._captured, time_us)
+        self._flight = replace(self._flight, scenario=moved)
+
+    def _with_attitude_setpoint(self, directive: Directive) -> Directive:
+        """The directive with the attitude that was asked for from outside."""
+        if self._external is None or directive.ground_thrust is not None:
+            return directive
+        return external.leaning(self.settings, self._external, directive)
