@@ -65,8 +65,8 @@ class SignalTable:
     applied: NDArray[np.float64]
     state: NDArray[np.int64]
     dt: NDArray[np.float64]
-    latency_s: NDArray[np.float64]
     saturated: NDArray[np.bool_]
+    latency_s: NDArray[np.float64]
 
     @property
     def time_s(self) -> NDArray[np.float64]:

@@ -17,13 +17,13 @@ from kffa_offboard.offboard.events import Signals
 DEBUG_FLOAT_ARRAY = mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY
 NAMED_VALUE_FLOAT = mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
 
-CHANNEL_NAMES = ("roll", "pitch", "yaw", "alt")
+CHANNEL_NAMES = ("ROLL", "PITCH", "YAW", "ALT")
 SIGNAL_NAMES = {
-    "ref": "reference",
-    "est": "estimate",
-    "dist": "disturbance",
-    "wc": "omega_c",
-    "cmd": "command",
+    "REF": "reference",
+    "EST": "estimate",
+    "DIST": "disturbance",
+    "WC": "omega_c",
+    "CMD": "command",
 }
 """Ending of a name on the wire -> field of `Signals`; with the channel before it 10 characters at most."""
 
@@ -32,13 +32,13 @@ ToArray = Callable[[Signals], Message]
 
 
 def named_values(signals: Signals) -> list[tuple[str, float]]:
-    """Names and values: ``roll_ref``, ..., ``alt_cmd``, and ``latency_s``."""
+    """Names and values: ``ROLL_REF``, ..., ``ALT_CMD``, and ``LATENCY_S``."""
     values = [
         (f"{channel}_{ending}", float(getattr(signals, name)[k]))
         for ending, name in SIGNAL_NAMES.items()
         for k, channel in enumerate(CHANNEL_NAMES)
     ]
-    return [*values, ("latency_s", signals.latency_s)]
+    return [*values, ("LATENCY_S", signals.latency_s)]
 
 
 def named_messages(signals: Signals) -> list[Message]:

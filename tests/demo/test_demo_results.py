@@ -39,7 +39,12 @@ def flight(tmp_path: Path) -> DemoFlight:
         np.where(time > 14.0, 5.0, 0.0),
     )
     signals = SignalTable(
-        np.asarray(time * 1e6, dtype=np.int64), *(channels,) * 9, np.full(time.size, 3), zero, channels > 0.0
+        np.asarray(time * 1e6, dtype=np.int64),
+        *(channels,) * 9,
+        np.full(time.size, 3),
+        zero,
+        channels > 0.0,
+        zero,
     )
     plan = FlightPlan(tmp_path, "px4", "rates", "kffa-ladrc", 7, lockstep=True)
     return DemoFlight(plan, FlightSummary(12345, 4321), truth, METRICS, Recording(time, signals))

@@ -244,7 +244,7 @@ def test_inner_signals_go_out_at_the_rate_that_is_asked_for(holding):
     counts: list[tuple[int, int]] = []
 
     def count() -> None:
-        last = [m for m in ground.heard("NAMED_VALUE_FLOAT") if m.name == "alt_est"]
+        last = [m for m in ground.heard("NAMED_VALUE_FLOAT") if m.name == "ALT_EST"]
         counts.append((len(last), len(ground.heard("DEBUG_FLOAT_ARRAY"))))
 
     def change() -> None:
@@ -259,11 +259,11 @@ def test_inner_signals_go_out_at_the_rate_that_is_asked_for(holding):
     assert a2 - a1 <= 1
     last = {m.name: m for m in ground.heard("NAMED_VALUE_FLOAT")}
     assert len(last) == 21 and all(len(name) <= 10 for name in last)
-    step = next(item for item in holding.signals if item.time_us // 1000 == last["alt_est"].time_boot_ms)
-    assert last["alt_est"].value == np.float32(step.estimate[3])
-    assert last["pitch_dist"].value == np.float32(step.disturbance[1])
-    assert last["roll_wc"].value == np.float32(step.omega_c[0])
-    assert isnan(last["latency_s"].value)  # clocks are not compared in lock-step
+    step = next(item for item in holding.signals if item.time_us // 1000 == last["ALT_EST"].time_boot_ms)
+    assert last["ALT_EST"].value == np.float32(step.estimate[3])
+    assert last["PITCH_DIST"].value == np.float32(step.disturbance[1])
+    assert last["ROLL_WC"].value == np.float32(step.omega_c[0])
+    assert isnan(last["LATENCY_S"].value)  # clocks are not compared in lock-step
     assert all(message.tc1 != 0 for message in ground.heard("TIMESYNC"))
 
 
