@@ -9,8 +9,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.config_log import make_companion
 from kffa_offboard.config import bundled, load
+from kffa_offboard.config_log import make_companion
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.session import Session
 from kffa_offboard.offboard.events import Signals
