@@ -233,6 +233,7 @@ def _service(tables: ConfigFile, overrides: Overrides) -> ServiceSettings:
         sequence=_record(SequenceSettings, tables.sequence),
         flight=_record(FlightSettings, tables.flight),
         position=tables.position.settings(tables.control),
+        payload=tables.payload.settings(tables.control),
     )
 
 

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from pydantic import Field, field_validator, model_validator
 
 from kffa_offboard.config_control import ControlTable, Table
+from kffa_offboard.config_payload import PayloadTable
 from kffa_offboard.config_position import PositionTable
 from kffa_offboard.config_units import number
 from kffa_offboard.errors import UserError
@@ -380,6 +381,7 @@ class ConfigFile(Table):
     sequence: SequenceTable = SequenceTable()
     flight: FlightTable = FlightTable()
     position: PositionTable = PositionTable()
+    payload: PayloadTable = PayloadTable()
     failsafe: FailsafeTable = FailsafeTable()
     autopilot: AutopilotTable = AutopilotTable()
     scenario: ScenarioTable = ScenarioTable()

@@ -18,6 +18,7 @@ UNIT_WORDS = {
     "": "",
     "s": "seconds",
     "Hz": "hertz",
+    "kg": "kilograms",
     "m": "metres",
     "m/s": "metres per second",
     "m/s^2": "metres per second squared",
@@ -43,6 +44,7 @@ _TOO_SMALL = {"deg": "radians", "deg/s": "radians per second", "deg/s^2": "radia
 _FACTORS = {
     "s": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "min": 60.0},
     "Hz": {"Hz": 1.0, "kHz": 1e3},
+    "kg": {"kg": 1.0, "g": 1e-3, "lb": 0.45359237},
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3},
     "m/s": {"m/s": 1.0, "cm/s": 1e-2, "km/h": 1.0 / 3.6},
     "m/s^2": {"m/s^2": 1.0, "m/s2": 1.0, "g": 9.80665},

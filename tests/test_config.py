@@ -60,6 +60,7 @@ def complaint(file: Path, text: str) -> str:
 
 CONFIGS = (
     *("demo-px4", "demo-ardupilot", "demo-px4-position", "demo-ardupilot-position"),
+    *("demo-px4-release", "demo-ardupilot-release"),
     *("px4-udp", "ardupilot-udp", "serial"),
 )
 

@@ -29,6 +29,8 @@ from kffa_offboard.control import tracking_differentiator as td
 CHANNELS = ("roll", "pitch", "yaw", "altitude")
 ROLL, PITCH, YAW, ALTITUDE = range(4)
 
+_SAME_MOMENT = 5e-3  # s; the step nearest to the moment takes it, with a telemetry of 100 Hz
+
 ControllerName = Literal["pid", "cascaded-pid", "wb-ladrc", "ladrc", "fa-ladrc", "kffa-ladrc"]
 NAMES: tuple[ControllerName, ...] = ("pid", "cascaded-pid", "wb-ladrc", "ladrc", "fa-ladrc", "kffa-ladrc")
 
@@ -69,6 +71,14 @@ class ControllerParameters:
 
 
 @dataclass(frozen=True)
+class ExpectedStep:
+    """The disturbance will change by `step` ``(4[, N])``; it shows in the measurements `after` s from now."""
+
+    step: Array
+    after: float
+
+
+@dataclass(frozen=True)
 class ControllerState:
     """Everything that a controller remembers between steps; a value: copy it, compare it, save it."""
 
@@ -77,6 +87,7 @@ class ControllerState:
     actuator: actuator.ActuatorState
     pid: pid.PidState
     kalman: kalman.KalmanState | None = None
+    expected: ExpectedStep | None = None
 
 
 @dataclass(frozen=True)
@@ -172,6 +183,48 @@ def with_applied(parameters: ControllerParameters, state: ControllerState, comma
     return replace(state, actuator=actuator.send(state.actuator, command))
 
 
+def with_disturbance_step(
+    parameters: ControllerParameters, state: ControllerState, step: Array, after: float = 0.0
+) -> ControllerState:
+    """The disturbance will change by `step` ``(4[, N])``, output units/s^2: a load is going to be released.
+
+    Observer and Kalman filter change together when the step shows in the measurements, `after` s from
+    now. The command that will act at that moment, sent `lead` s before it, already meets the new
+    disturbance, so that its own step and the disturbance's have the same centroid. One step can be
+    expected at a time; a new one takes its place, and one of zeros calls it off. The PIDs estimate no
+    disturbance and take no notice.
+    """
+    if after > 0.0:
+        return replace(state, expected=ExpectedStep(step, after) if np.any(step) else None)
+    stepped = replace(state.observer, disturbance=state.observer.disturbance + step)
+    filter_state = state.kalman
+    if parameters.kalman is not None and filter_state is not None:
+        filter_state = kalman.with_disturbance_step(parameters.kalman, filter_state, step)
+    return replace(state, observer=stepped, kalman=filter_state, expected=None)
+
+
+def lead(parameters: ControllerParameters) -> Array:
+    """From a command to the moment when it acts in the mean, ``(4,)`` s: delay and lag."""
+    return np.asarray(parameters.actuator.delay + parameters.actuator.lag)
+
+
+def _advance_expected(
+    parameters: ControllerParameters, state: ControllerState, dt: float
+) -> tuple[ControllerState, Array | float]:
+    """Let the expected step come nearer, or come.
+
+    Returns the state and what must be added to the command that acted: if the step came within these `dt` s,
+    the part before it still had the old disturbance.
+    """
+    expected = state.expected
+    if expected is None:
+        return state, 0.0
+    if expected.after > dt:
+        return replace(state, expected=replace(expected, after=expected.after - dt)), 0.0
+    early = expected.after / dt * expected.step / column(parameters.model.b0, expected.step)
+    return with_disturbance_step(parameters, state, expected.step), -early
+
+
 def _limit(limits: Limits, command: Array, previous: Array, dt: float) -> Array:
     """Bound the command and its change since `previous`; bounds win over the change."""
     change = column(limits.rate, command) * dt
@@ -185,6 +238,8 @@ def _estimate(
     """Command queue, Kalman filter and observer: everything that runs in shadow, too."""
     angular = parameters.angular
     queue, acted = actuator.step(parameters.actuator, state.actuator, dt)
+    state, correction = _advance_expected(parameters, state, dt)
+    acted = acted + correction
     predicted = observer.predict(parameters.model, state.observer, acted, dt)
     measurement = np.where(inputs.fresh, inputs.measurement, predicted.estimate)
     measurement = wrap_near(measurement, predicted.estimate, angular)
@@ -263,12 +318,23 @@ def step(
 
 
 def _ahead(parameters: ControllerParameters, state: ControllerState) -> observer.ObserverState:
-    """The estimates at the moment when the next command will act (those under way are known)."""
-    if parameters.prediction is None:
-        return state.observer
-    acting = actuator.forecast(parameters.actuator, state.actuator, parameters.prediction)
-    horizon = column(parameters.prediction, acting)
-    return observer.predict(parameters.model, state.observer, acting, horizon)
+    """The estimates at the moment when the next command will act (those under way are known).
+
+    An expected step of the disturbance counts from its moment on in what is predicted, and in full in what
+    the command will meet.
+    """
+    ahead, expected = state.observer, state.expected
+    if parameters.prediction is not None:
+        acting = actuator.forecast(parameters.actuator, state.actuator, parameters.prediction)
+        horizon = column(parameters.prediction, acting)
+        if expected is not None:
+            share = np.clip(1.0 - expected.after / horizon, 0.0, 1.0)
+            acting = acting + share * expected.step / column(parameters.model.b0, acting)
+        ahead = observer.predict(parameters.model, ahead, acting, horizon)
+    if expected is None:
+        return ahead
+    met = expected.after <= column(lead(parameters), ahead.disturbance) + _SAME_MOMENT
+    return replace(ahead, disturbance=ahead.disturbance + np.where(met, expected.step, 0.0))
 
 
 def _adrc_command(parameters: ControllerParameters, state: ControllerState) -> tuple[Array, Array]:

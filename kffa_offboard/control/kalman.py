@@ -15,7 +15,7 @@ in the climb rate long before it shows in the height.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Literal
 
@@ -99,6 +99,15 @@ def initial_state(
         mean[:, 2] = disturbance.reshape(channels, -1)
         variances[:, 2] = parameters.disturbance_intensity
     return KalmanState(mean.reshape(channels * n, -1), np.diag(variances.reshape(-1)))
+
+
+def with_disturbance_step(parameters: KalmanParameters, state: KalmanState, step: Array) -> KalmanState:
+    """The disturbance is known to have changed by `step` ``(4[, N])``; the literal filter has none."""
+    if parameters.states != 3:
+        return state
+    mean = state.mean.copy()
+    mean[2::3] += step.reshape(len(step), -1)
+    return replace(state, mean=mean)
 
 
 def _model_matrices(parameters: KalmanParameters, damping: Array, dt: float) -> tuple[Array, Array, Array]:

@@ -17,6 +17,7 @@ from kffa_offboard.offboard.events import (
     Announce,
     AttitudeTarget,
     OwnHeartbeat,
+    PayloadReport,
     SetArmed,
     SetGripper,
     Severity,
@@ -146,6 +147,15 @@ def status_text(announcement: Announce, text_id: int) -> list[Message]:
     return [
         mavlink.MAVLink_statustext_message(severity, chunk, text_id, number)
         for number, chunk in enumerate(chunks)
+    ]
+
+
+def payload_report(report: PayloadReport) -> list[Message]:
+    """Mass of the load and its standard deviation, kg, as NAMED_VALUE_FLOAT "payload_kg" and "payload_sd"."""
+    time_ms = report.time_us // 1000 % 2**32
+    return [
+        mavlink.MAVLink_named_value_float_message(time_ms, name, value)
+        for name, value in ((b"payload_kg", report.mass_kg), (b"payload_sd", report.std_kg))
     ]
 
 

@@ -20,6 +20,7 @@ from kffa_offboard.offboard.events import (
     Firmware,
     Output,
     OwnHeartbeat,
+    PayloadReport,
     RequestRefused,
     Signals,
 )
@@ -87,6 +88,8 @@ class Vehicle:
                 return []
             case OwnHeartbeat():
                 return [commands.heartbeat(output)]
+            case PayloadReport():
+                return commands.payload_report(output)
             case Announce():
                 self._text_id = self._text_id % 65535 + 1
                 return commands.status_text(output, self._text_id)

@@ -298,6 +298,15 @@ class Signals:
     latency_s: float = nan
 
 
+@dataclass(frozen=True, slots=True)
+class PayloadReport:
+    """Estimated mass of the load and its standard deviation, kg. `time_us` is the arrival time."""
+
+    time_us: int
+    mass_kg: float
+    std_kg: float
+
+
 Output: TypeAlias = (
     AttitudeTarget
     | RequestMessageRates
@@ -308,4 +317,5 @@ Output: TypeAlias = (
     | RequestRefused
     | OwnHeartbeat
     | Signals
+    | PayloadReport
 )

@@ -66,6 +66,10 @@ class LoopState:
         """Where the vehicle comes to rest if it is told to hold now, from the captured position, m."""
         return (0.0, 0.0) if self.horizontal is None else self.horizontal.hold_offset
 
+    def with_controller(self, controller: controllers.ControllerState) -> LoopState:
+        """Another controller state."""
+        return replace(self, controller=controller)
+
     def resent(self, time_us: int) -> LoopState:
         """The last setpoint was repeated at `time_us`."""
         return replace(self, sent_us=time_us)

@@ -7,19 +7,18 @@ them: without a scenario, or in a segment "external".
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Literal
 
-from kffa_offboard.offboard import events, external
+from kffa_offboard.offboard import events, external, parameters
 from kffa_offboard.offboard.events import AttitudeSetpoint, Event, PositionSetpoint, Severity
 from kffa_offboard.offboard.flight import Directive, Phase
+from kffa_offboard.offboard.payload_session import PayloadSession
 from kffa_offboard.offboard.reference import current_segment
 from kffa_offboard.offboard.segments import External
-from kffa_offboard.offboard.sequence import microseconds
-from kffa_offboard.offboard.session import Session, State
+from kffa_offboard.offboard.session import State
 from kffa_offboard.offboard.tuning import adopt
 
 
-class RequestSession(Session):
+class RequestSession(PayloadSession):
     """The part of the service that answers requests; use `service.Service`."""
 
     def _on_request(self, time_us: int, event: Event) -> None:
@@ -33,18 +32,17 @@ class RequestSession(Session):
                 self._link = event
             case PositionSetpoint() | AttitudeSetpoint():
                 self._on_setpoint(time_us, event)
+            case events.ParametersChecked():
+                self._on_parameters(event)
             case _:
                 pass
 
-    def _gripper_requested(self, time_us: int, action: Literal["grab", "release"]) -> None:
-        """Somebody asks for the gripper, in control or not."""
-        if self.settings.shadow or self._known.heartbeat is None:
-            reason = "shadow mode" if self.settings.shadow else "no vehicle"
-            self._say(Severity.WARNING, f"gripper: {reason}")
-            self._emit(events.RequestRefused(reason, self.settings.shadow))
-            return
-        self._emit(events.SetGripper(action))
-        self._gripper_us = time_us + microseconds(self.settings.sequence.gripper_timeout_s)
+    def _on_parameters(self, checked: events.ParametersChecked) -> None:
+        if checked.complete:
+            self._emit(*parameters.announcements(self._parameters, checked))
+            self._parameters = checked
+        else:  # what was found before is not news when it is found again
+            self._parameters = replace(self._parameters, complete=False)
 
     # ------------------------------------------------------------------------ setpoints
 

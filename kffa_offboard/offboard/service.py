@@ -11,7 +11,8 @@ Rules, each kept in one place:
   not stored but follow from the state, so none can be forgotten or outlive its reason;
 - after giving up control nothing is sent until somebody asks again (PX4 would return to OFFBOARD).
 
-`session.py` holds the other half, taking and giving back control; `request_session.py` what others ask for.
+`session.py` holds the other half, taking and giving back control; `payload_session.py` gripper and load;
+`request_session.py` what others ask for.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from kffa_offboard.offboard import events, parameters, telemetry
+from kffa_offboard.offboard import events, telemetry
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
 from kffa_offboard.offboard.horizontal import astray, position_jump
@@ -112,8 +113,7 @@ class Service(RequestSession):
             deadlines.append((retry_due(self._retry), self._run_release))
         if self.state in SENDING and self._loop is not None and self._loop.sent is not None:
             deadlines.append((self._loop.sent_us + microseconds(settings.sequence.resend_s), self._resend))
-        if self._gripper_us is not None:
-            deadlines.append((self._gripper_us, self._gripper_silent))
+        deadlines += self._payload_deadlines()
         if self._request_us is not None:
             deadlines.append((self._request_us, self._check_rates))
         deadlines.append((self._own_heartbeat_us, self._beat))
@@ -165,10 +165,6 @@ class Service(RequestSession):
         self._emit(self._loop.sent)
         self._loop = self._loop.resent(time_us)
 
-    def _gripper_silent(self, time_us: int) -> None:
-        self._gripper_us = None
-        self._say(Severity.WARNING, "gripper: no answer; is it enabled?")
-
     # --------------------------------------------------------------------------- events
 
     def _dispatch(self, time_us: int, event: Event) -> None:
@@ -191,12 +187,6 @@ class Service(RequestSession):
                 self._engage(time_us)
             case events.ReleaseRequested():
                 self._release(time_us, event.reason, event.stay)
-            case events.ParametersChecked():
-                if event.complete:
-                    self._emit(*parameters.announcements(self._parameters, event))
-                    self._parameters = event
-                else:  # what was found before is not news when it is found again
-                    self._parameters = replace(self._parameters, complete=False)
             case events.StatusReceived():
                 pass  # the log has it
             case _:
@@ -269,11 +259,7 @@ class Service(RequestSession):
         refused = not event.accepted and not event.in_progress
         match event.action:
             case "gripper":
-                if self._gripper_us is not None and event.in_progress:
-                    timeout = self.settings.sequence.gripper_timeout_s
-                    self._gripper_us = time_us + microseconds(timeout)
-                elif not event.in_progress:
-                    self._gripper_us = None
+                self._gripper_answered(time_us, event)
             case "mode" | "arm" | "disarm":
                 if event.accepted:
                     self._on_accepted(time_us, event.action)
@@ -309,9 +295,10 @@ class Service(RequestSession):
             return
         if order.sending:
             for action in order.directive.gripper:
-                self._gripper_requested(time_us, action)
-            if self.state is State.ENGAGED and order.directive.ending is not None:
-                self._end_flight(time_us, order.directive.ending, order.directive.reason)
+                self._work_gripper(time_us, action, dt)
+        self._watch_payload(time_us, result.signals, order)
+        if self.state is State.ENGAGED and order.directive.ending is not None:
+            self._end_flight(time_us, order.directive.ending, order.directive.reason)
 
     def _order(self, time_us: int) -> Order:
         """What this step is to do in the present state."""

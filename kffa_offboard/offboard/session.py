@@ -256,7 +256,8 @@ class Session:
 
     def _finish(self, outcome: Finished) -> None:
         """The end of this run, unless the daemon is to stay at hand; a failsafe stays one."""
-        self._let_go(State.FAILSAFE if self.state is State.FAILSAFE else State.READY)
+        stays = self.state in (State.FAILSAFE, State.WAITING)
+        self._let_go(self.state if stays else State.READY)
         self._auto_engage = False
         self.finished = None if self._stay else outcome
         severity = Severity.NOTICE if outcome.successful else Severity.WARNING

@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 
 from kffa_offboard.control.controllers import ControllerParameters
 from kffa_offboard.control.position import PositionParameters
+from kffa_offboard.offboard.payload_settings import PayloadSettings
 from kffa_offboard.offboard.segments import Land, Move, Segment, Sine, Step, Takeoff, Triangle, check_scenario
 
 FailsafeAction: TypeAlias = Literal["stop", "hold", "land"]
@@ -262,6 +263,7 @@ class ServiceSettings:
     shadow : observe only; neither setpoints nor modes nor arming are ever sent
     failsafe_action : what happens to the vehicle when the service gives up
     position : the position ring, which then commands roll and pitch; None: attitude and altitude only
+    payload : payload awareness; None: loads are a disturbance only
     """
 
     controller: ControllerParameters
@@ -277,6 +279,7 @@ class ServiceSettings:
     sequence: SequenceSettings = field(default_factory=SequenceSettings)
     flight: FlightSettings = field(default_factory=FlightSettings)
     position: PositionSettings | None = None
+    payload: PayloadSettings | None = None
 
     def __post_init__(self) -> None:
         if not self.limits.thrust_min < self.hover_thrust < self.limits.thrust_max:

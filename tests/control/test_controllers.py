@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kffa_offboard.control import controllers, observer
+from kffa_offboard.control import actuator, controllers, observer
 from kffa_offboard.control.controllers import ControllerInput
 from kffa_offboard.control.design import DesignSettings, design
 
@@ -248,3 +248,84 @@ def test_a_step_that_does_not_advance_time_is_refused(dt: float) -> None:
     state = controllers.initial_state(parameters, np.zeros(4), AIRFRAME.trim)
     with pytest.raises(ValueError, match="dt must be positive"):
         controllers.step(parameters, state, ControllerInput(np.zeros(4), np.zeros(4), ALL_FRESH), dt)
+
+
+# --------------------------------------------------------------- a disturbance known beforehand
+
+
+KNOWN_DELAY, KNOWN_LAG, KNOWN_STEP = 0.06, 0.05, 4.9
+
+
+def with_lag(name):
+    return design(
+        name,
+        DesignSettings(
+            b0=np.full(4, 24.6),
+            damping=np.zeros(4),
+            stiffness=np.zeros(4),
+            omega_c=np.full(4, 8.0),
+            omega_o=np.full(4, 40.0),
+            lower=np.full(4, -2.0),
+            upper=np.full(4, 2.0),
+            delay=np.full(4, KNOWN_DELAY),
+            lag=np.full(4, KNOWN_LAG),
+            prediction=np.full(4, KNOWN_DELAY),
+            trim=np.zeros(4),
+            omega_c_range=np.full(4, 2.0),
+        ),
+    )
+
+
+def deviation(parameters, announced, happens=True):
+    """Largest and last deviation of the altitude when its disturbance steps; the plant has steps of 1 ms."""
+    dt, start = 0.01, 0.5
+    state = controllers.initial_state(parameters, np.zeros(4), np.zeros(4))
+    queue = actuator.initial_state(np.zeros(4))
+    height, rate, disturbance, heights = 0.0, 0.0, 0.0, []
+    for k in range(400):
+        inputs = controllers.ControllerInput(
+            np.zeros(4), np.array([0.0, 0.0, 0.0, height]), np.ones(4, bool), np.array([0.0, 0.0, 0.0, rate])
+        )
+        state, output = controllers.step(parameters, state, inputs, dt)
+        if announced and k == 30:
+            step = np.array([0.0, 0.0, 0.0, KNOWN_STEP])
+            state = controllers.with_disturbance_step(parameters, state, step, start - k * dt)
+        queue = actuator.send(queue, output.command)
+        for fine in range(10):
+            queue, acted = actuator.step(parameters.actuator, queue, dt / 10)
+            if happens and k * dt + fine * dt / 10 >= start - 1e-9:
+                disturbance = KNOWN_STEP
+            rate += (24.6 * acted[3] + disturbance) * dt / 10
+            height += rate * dt / 10
+        heights.append(abs(height))
+    return max(heights), heights[-1]
+
+
+@pytest.mark.parametrize("name", ["ladrc", "fa-ladrc", "kffa-ladrc"])
+def test_a_disturbance_that_is_known_beforehand_hardly_moves_the_output(name):
+    parameters = with_lag(name)
+    surprise, _ = deviation(parameters, announced=False)
+    known, left = deviation(parameters, announced=True)
+    assert known <= 0.15 * surprise
+    assert left <= 1e-3
+
+
+def test_a_known_disturbance_that_does_not_come_is_unlearnt():
+    parameters = with_lag("kffa-ladrc")
+    surprise, _ = deviation(parameters, announced=False)
+    phantom, left = deviation(parameters, announced=True, happens=False)
+    assert phantom <= 1.1 * surprise
+    assert left <= 1e-3
+
+
+def test_observer_and_filter_take_a_known_step_together_and_zeros_call_it_off():
+    parameters = with_lag("kffa-ladrc")
+    state = controllers.initial_state(parameters, np.zeros((4, 3)), np.zeros((4, 3)))
+    step = np.zeros((4, 3))
+    step[3] = [1.0, 2.0, 3.0]
+    now = controllers.with_disturbance_step(parameters, state, step)
+    assert np.array_equal(now.observer.disturbance - state.observer.disturbance, step)
+    assert np.array_equal((now.kalman.mean - state.kalman.mean)[2::3], step)
+    later = controllers.with_disturbance_step(parameters, state, step, 0.1)
+    assert later.expected.after == 0.1 and later.observer is state.observer
+    assert controllers.with_disturbance_step(parameters, later, 0.0 * step, 0.1).expected is None

@@ -15,6 +15,7 @@ from kffa_offboard.offboard.events import (
     Announce,
     AttitudeTarget,
     OwnHeartbeat,
+    PayloadReport,
     SetArmed,
     SetGripper,
     Severity,
@@ -157,3 +158,10 @@ def test_frames_carry_our_identity_and_consecutive_numbers_that_wrap(read):
     sent = [read(component.pack(mavlink.MAVLink_system_time_message(0, 0)))[0] for _ in range(258)]
     assert [m.get_seq() for m in sent] == [*range(256), 0, 1]
     assert {(m.get_srcSystem(), m.get_srcComponent()) for m in sent} == {(99, 191)}
+
+
+def test_the_mass_of_the_load_goes_out_as_two_named_values(vehicle):
+    mass, deviation = vehicle.encode(PayloadReport(2_000_000, 5.0, 0.15), 0)
+    assert mass.get_type() == deviation.get_type() == "NAMED_VALUE_FLOAT"
+    assert (mass.name, mass.value, mass.time_boot_ms) == ("payload_kg", 5.0, 2000)
+    assert (deviation.name, deviation.value) == ("payload_sd", 0.15)

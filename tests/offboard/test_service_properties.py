@@ -115,6 +115,11 @@ def machine(fake):
             self.taken_over = False
             self.flight.give(events.EngageRequested())
 
+        @precondition(lambda self: not self.taken_over)
+        @rule(action=st.sampled_from(["grab", "release"]))
+        def somebody_asks_for_the_gripper(self, action):
+            self.flight.give(events.GripperRequested(action))
+
         @precondition(lambda self: self.flight.service.state in SENDING)
         @rule()
         def somebody_asks_to_release(self):
@@ -191,6 +196,7 @@ anything = st.one_of(
     st.builds(events.PositionSetpoint, st.tuples(*[st.none() | st.floats()] * 3), st.none() | st.floats()),
     st.builds(events.AttitudeSetpoint, st.tuples(*[st.floats()] * 3)),
     st.builds(events.LinkMeasured, st.integers(-(10**9), 10**9), st.floats(0.0, 1.0)),
+    st.builds(events.GripperRequested, st.sampled_from(["grab", "release"])),
 )
 
 

@@ -1,0 +1,276 @@
+"""Mass of the payload from thrust and climb rate, and the moments when it changes.
+
+No counterpart in the paper, which takes the load for a disturbance. Thrust that carries the empty vehicle at
+`hover_thrust` gives it b0 u of acceleration; the loaded one gets the share `ratio` of that:
+
+    dv/dt = ratio b0 u cos(roll) cos(pitch) - g,    ratio = empty mass / total mass
+
+which is linear in the ratio, so a Kalman filter with the states climb rate v and ratio (a slow random
+walk: gusts, battery) estimates it. It is the altitude channel's disturbance, s3 = -g - (1 - ratio) b0 u,
+read for the mass: unlike s3 the ratio does not change when the thrust does, so it can be averaged for
+longer. u is the collective thrust as the motors gave it, delayed and lagged (`actuator`).
+
+Two hypotheses, "the mass is what it was" and "it has changed", are told apart by a two-sided cumulative
+sum of the normalised innovations (E. S. Page, "Continuous inspection schemes", Biometrika 41, 1954). An
+alarm opens the covariance, so that the filter finds the new mass at once; only a change that is then
+clearly there is reported.
+
+All arrays are scalars ``()`` for one vehicle or ``(N,)`` for a batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from kffa_offboard.control import Array, BoolArray, actuator
+
+GRAVITY = 9.80665
+
+
+@dataclass(frozen=True)
+class DetectionParameters:
+    """When a change of mass is one.
+
+    Attributes
+    ----------
+    slack : standard deviations
+        Innovation that counts for neither hypothesis; half the mean shift that a change is to be noticed by.
+    alarm : standard deviations
+        Cumulative sum that raises the alarm: exp(2 slack alarm) / (2 slack^2) samples, four weeks at 100 Hz,
+        pass between two false ones; 5 kg on 10 kg reach it in four samples.
+    opening : standard deviation of the ratio after an alarm; 5 kg on 10 kg change it by 0.33
+    settle : s, from the alarm to the decision; in 0.1 s the slope of the climb rate gives the mass to 0.3 kg
+    patience : s, after which an alarm without a change is forgotten
+    memory : s, time constant of the load before a change; the 0.04 s until an alarm hardly blur it
+    minimum : kg, least change that is reported; a gust of 0.4 kg g = 4 N is a strong one
+    confidence : standard deviations by which the change must exceed zero
+    """
+
+    slack: float = 1.0
+    alarm: float = 10.0
+    opening: float = 0.3
+    settle: float = 0.1
+    patience: float = 0.5
+    memory: float = 0.2
+    minimum: float = 0.4
+    confidence: float = 4.0
+
+
+@dataclass(frozen=True)
+class PayloadParameters:
+    """What is known of the vehicle.
+
+    Attributes
+    ----------
+    vehicle_mass : kg, empty
+    hover_thrust : normalised collective thrust that carries it
+    actuator : delay and lag of thrust, each ``(1,)``
+    rate_variance : (m/s)^2, of one measured climb rate
+    hover_thrust_uncertainty : relative standard deviation of `hover_thrust`
+    acceleration_intensity : (m/s^2)^2/s, growth of the variance of what else accelerates; gusts of 1 N on
+        10 kg that last 2 s have 2 * 0.1^2 / 2
+    timing_uncertainty : s, standard deviation of the actuator's delay; times a change of the acceleration by
+        thrust it is the velocity that is uncertain then
+    """
+
+    vehicle_mass: float
+    hover_thrust: float
+    actuator: actuator.ActuatorParameters
+    rate_variance: float
+    hover_thrust_uncertainty: float = 0.01
+    acceleration_intensity: float = 0.01
+    timing_uncertainty: float = 0.005
+    detection: DetectionParameters = field(default_factory=DetectionParameters)
+
+    @property
+    def b0(self) -> float:
+        """Acceleration of the empty vehicle per unit of thrust, m/s^2."""
+        return GRAVITY / self.hover_thrust
+
+
+@dataclass(frozen=True)
+class PayloadState:
+    """Estimates, sums and commands under way.
+
+    Attributes
+    ----------
+    thrust : commands under way; its arrays are ``(1,)`` or ``(1, N)``
+    acted : mean thrust of the last step
+    rate, ratio : climb rate, m/s, and empty over total mass
+    rate_variance, covariance, ratio_variance : of the two
+    rising, falling : cumulative sums for more and for less mass
+    settled : kg, load before the last alarm
+    suspected : s since the alarm; infinite without one
+    """
+
+    thrust: actuator.ActuatorState
+    acted: Array
+    rate: Array
+    ratio: Array
+    rate_variance: Array
+    covariance: Array
+    ratio_variance: Array
+    rising: Array
+    falling: Array
+    settled: Array
+    suspected: Array
+
+
+@dataclass(frozen=True)
+class PayloadEstimate:
+    """What one step found.
+
+    Attributes
+    ----------
+    mass, std : kg, of the load, and its standard deviation (noise, filter and `hover_thrust_uncertainty`)
+    change : kg, change of load that has just been decided on; 0 in all other steps
+    """
+
+    mass: Array
+    std: Array
+    change: Array
+
+
+def initial_state(thrust: Array, rate: Array) -> PayloadState:
+    """Nothing is known of the load; `thrust` has been acting for ever; shapes ``()`` or ``(N,)``."""
+    zero = np.zeros_like(rate)
+    return reset(
+        PayloadState(actuator.initial_state(thrust[None]), thrust, *[zero] * 9), rate, zero, zero + 0.5
+    )
+
+
+def reset(state: PayloadState, rate: Array, load_ratio: Array, std: Array) -> PayloadState:
+    """Begin anew with a climb rate [m/s] and load / empty mass, and the standard deviation of the ratio."""
+    zero = np.zeros_like(rate)
+    return replace(
+        state,
+        rate=rate,
+        ratio=1.0 / (1.0 + load_ratio),
+        rate_variance=zero + 1.0,
+        covariance=zero,
+        ratio_variance=zero + std**2,
+        rising=zero,
+        falling=zero,
+        settled=zero,
+        suspected=zero + np.inf,
+    )
+
+
+def send(state: PayloadState, thrust: Array) -> PayloadState:
+    """Collective `thrust` goes out at this moment."""
+    return replace(state, thrust=actuator.send(state.thrust, thrust[None]))
+
+
+def load(parameters: PayloadParameters, state: PayloadState) -> tuple[Array, Array]:
+    """Mass of the load and its standard deviation, kg."""
+    total = parameters.vehicle_mass / state.ratio
+    noise = total / state.ratio * np.sqrt(state.ratio_variance)
+    return total - parameters.vehicle_mass, np.hypot(noise, total * parameters.hover_thrust_uncertainty)
+
+
+def accept(parameters: PayloadParameters, state: PayloadState) -> PayloadState:
+    """Take the present estimate for the settled load, without any suspicion."""
+    zero = np.zeros_like(state.rate)
+    settled = load(parameters, state)[0]
+    return replace(state, settled=settled, rising=zero, falling=zero, suspected=zero + np.inf)
+
+
+def advance(parameters: PayloadParameters, state: PayloadState, dt: float) -> PayloadState:
+    """Move the commands under way by `dt` s; that is all while the vehicle does not fly freely."""
+    queue, acted = actuator.step(parameters.actuator, state.thrust, dt)
+    return replace(state, thrust=queue, acted=acted[0])
+
+
+def step(
+    parameters: PayloadParameters,
+    state: PayloadState,
+    rate: Array,
+    tilt_factor: Array,
+    fresh: bool,
+    dt: float,
+) -> tuple[PayloadState, PayloadEstimate]:
+    """One step of a vehicle that flies freely, `dt` s after the last one.
+
+    Parameters
+    ----------
+    rate : measured climb rate, m/s; read if `fresh`
+    tilt_factor : cos(roll) cos(pitch), as measured
+    """
+    before = state.acted
+    state = advance(parameters, state, dt)
+    state = _predict(parameters, state, tilt_factor, state.acted - before, dt)
+    if fresh:
+        state = _correct(parameters, state, rate)
+    return _decide(parameters, state, rate, dt)
+
+
+def _predict(
+    parameters: PayloadParameters, state: PayloadState, tilt_factor: Array, change: Array, dt: float
+) -> PayloadState:
+    """Kalman prediction with the transition [[1, gain], [0, 1]]."""
+    gain = parameters.b0 * state.acted * tilt_factor * dt
+    # A change of thrust is smeared over the lag: its steps err alike and add up.
+    together = 1.0 + 2.0 * float(np.max(parameters.actuator.lag)) / dt
+    mistimed = together * (parameters.b0 * change * parameters.timing_uncertainty) ** 2
+    drift = parameters.acceleration_intensity / GRAVITY**2 * dt
+    covariance = state.covariance + gain * state.ratio_variance
+    return replace(
+        state,
+        rate=state.rate + gain * state.ratio - GRAVITY * dt,
+        rate_variance=state.rate_variance + gain * (state.covariance + covariance) + mistimed,
+        covariance=covariance,
+        ratio_variance=state.ratio_variance + drift,
+    )
+
+
+def _correct(parameters: PayloadParameters, state: PayloadState, rate: Array) -> PayloadState:
+    """Kalman correction, and the two cumulative sums of its innovation."""
+    detection = parameters.detection
+    total = state.rate_variance + parameters.rate_variance
+    innovation = rate - state.rate
+    k_rate, k_ratio = state.rate_variance / total, state.covariance / total
+    normal = innovation / np.sqrt(total)
+    return replace(
+        state,
+        rate=state.rate + k_rate * innovation,
+        ratio=np.clip(state.ratio + k_ratio * innovation, 0.2, 3.0),
+        rate_variance=(1.0 - k_rate) * state.rate_variance,
+        covariance=(1.0 - k_rate) * state.covariance,
+        ratio_variance=state.ratio_variance - k_ratio * state.covariance,
+        rising=np.maximum(0.0, state.rising - normal - detection.slack),
+        falling=np.maximum(0.0, state.falling + normal - detection.slack),
+    )
+
+
+def _decide(
+    parameters: PayloadParameters, state: PayloadState, measured: Array, dt: float
+) -> tuple[PayloadState, PayloadEstimate]:
+    """Alarm, then decision; while nothing is suspected the settled load follows the estimate."""
+    detection = parameters.detection
+    alarm = np.maximum(state.rising, state.falling) > detection.alarm
+    first = alarm & np.isinf(state.suspected)
+    state = replace(
+        state,
+        suspected=np.where(first, 0.0, state.suspected + dt),
+        # The climb rate was dragged along by the wrong ratio: begin it anew, too.
+        rate_variance=np.where(alarm, parameters.rate_variance, state.rate_variance),
+        rate=np.where(alarm, measured, state.rate),
+        covariance=np.where(alarm, 0.0, state.covariance),
+        ratio_variance=np.where(alarm, detection.opening**2, state.ratio_variance),
+        rising=np.where(alarm, 0.0, state.rising),
+        falling=np.where(alarm, 0.0, state.falling),
+    )
+    mass, std = load(parameters, state)
+    change = mass - state.settled
+    noise = parameters.vehicle_mass / state.ratio**2 * np.sqrt(state.ratio_variance)
+    clear = np.abs(change) > np.maximum(detection.minimum, detection.confidence * noise)
+    waited = np.isfinite(state.suspected) & (state.suspected >= detection.settle)
+    decided = waited & clear
+    over: BoolArray = decided | (np.isfinite(state.suspected) & (state.suspected >= detection.patience))
+    calm = np.isinf(state.suspected)
+    followed = state.settled + (1.0 - np.exp(-dt / detection.memory)) * change
+    settled = np.where(decided, mass, np.where(calm, followed, state.settled))
+    state = replace(state, settled=settled, suspected=np.where(over, np.inf, state.suspected))
+    return state, PayloadEstimate(mass, std, np.where(decided, change, 0.0))

@@ -1,0 +1,234 @@
+"""What the vehicle carries: estimate, pick-up and drop in words, reports at a steady rate.
+
+A pure step function around `control.payload`. Mass is estimated only while the daemon's own thrust flies
+the vehicle freely: not on the ground, in the thrust ramps or in a landing, where the ground takes part
+of the weight.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import cos
+
+import numpy as np
+
+from kffa_offboard.control import payload
+from kffa_offboard.offboard.events import Announce, Output, PayloadReport, Severity, Vector3
+from kffa_offboard.offboard.payload_settings import PayloadSettings
+
+_SURE = 3.0  # standard deviations
+
+
+@dataclass(frozen=True, slots=True)
+class PayloadSample:
+    """One control step as payload awareness sees it.
+
+    Attributes
+    ----------
+    time_us, dt : arrival time, us, and time since the last step, s
+    thrust : collective thrust that goes out at this moment
+    attitude : measured roll, pitch, yaw, rad
+    climb_rate : measured, m/s
+    fresh : the climb rate is new
+    flying : the daemon's thrust flies the vehicle freely
+    """
+
+    time_us: int
+    dt: float
+    thrust: float
+    attitude: Vector3
+    climb_rate: float
+    fresh: bool
+    flying: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Load:
+    """Mass of the load and its standard deviation, kg."""
+
+    mass: float
+    std: float
+
+
+@dataclass(frozen=True, slots=True)
+class PickUp:
+    """A pick-up that is named when its mass is exact: when it was noticed, and the load before, kg."""
+
+    since_us: int
+    before: float
+
+
+@dataclass(frozen=True, slots=True)
+class ExpectedDrop:
+    """A release that the daemon has commanded: the load, kg, and when it should show in the measurements."""
+
+    load: float
+    moment_us: int
+    begun: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Awareness:
+    """What is known of the load.
+
+    Attributes
+    ----------
+    estimator : `control.payload`
+    flying_since_us : None while the estimator rests
+    load : None until the estimate has settled
+    reported_us : last report
+    pick_up : noticed and not yet named
+    expected : commanded release whose outcome is open
+    heavy : too heavy a load has been announced
+    """
+
+    estimator: payload.PayloadState
+    flying_since_us: int | None = None
+    load: Load | None = None
+    reported_us: int | None = None
+    pick_up: PickUp | None = None
+    expected: ExpectedDrop | None = None
+    heavy: bool = False
+
+
+def begin_awareness(sample: PayloadSample) -> Awareness:
+    """Start with the thrust that acts now."""
+    return Awareness(payload.initial_state(np.array(sample.thrust), np.array(sample.climb_rate)))
+
+
+def step_awareness(
+    settings: PayloadSettings, state: Awareness, sample: PayloadSample
+) -> tuple[Awareness, tuple[Output, ...]]:
+    """One control step: the new state, announcements and reports."""
+    outputs: tuple[Output, ...] = ()
+    if sample.flying:
+        state, outputs = _estimate(settings, state, sample)
+    else:
+        resting = payload.advance(settings.estimator, state.estimator, sample.dt)
+        state = Awareness(resting)
+    return replace(state, estimator=payload.send(state.estimator, np.array(sample.thrust))), outputs
+
+
+def expect_drop(state: Awareness, load: float, moment_us: int) -> Awareness:
+    """The daemon has commanded the release of `load` kg, which should show at `moment_us`."""
+    return replace(state, expected=ExpectedDrop(load, moment_us))
+
+
+def call_off_drop(settings: PayloadSettings, state: Awareness) -> Awareness:
+    """The release will not happen: the load is what it was."""
+    expected = state.expected
+    if expected is not None and expected.begun:
+        ratio = np.array(expected.load / settings.estimator.vehicle_mass)
+        opening = np.array(settings.estimator.detection.opening)
+        again = payload.reset(state.estimator, state.estimator.rate, ratio, opening)
+        state = replace(state, estimator=payload.accept(settings.estimator, again))
+    return replace(state, expected=None)
+
+
+def _estimate(
+    settings: PayloadSettings, state: Awareness, sample: PayloadSample
+) -> tuple[Awareness, tuple[Output, ...]]:
+    rate = np.array(sample.climb_rate)
+    if state.flying_since_us is None:
+        fresh = payload.reset(state.estimator, rate, np.array(0.0), np.array(0.5))
+        state = replace(state, estimator=fresh, flying_since_us=sample.time_us)
+    since_us = sample.time_us if state.flying_since_us is None else state.flying_since_us
+    expected = state.expected
+    if expected is not None and not expected.begun and sample.time_us >= expected.moment_us:
+        opening = np.array(settings.estimator.detection.opening)
+        empty = payload.reset(state.estimator, rate, np.array(0.0), opening)
+        state = replace(state, estimator=empty, expected=replace(expected, begun=True), pick_up=None)
+    tilt_factor = np.array(cos(sample.attitude[0]) * cos(sample.attitude[1]))
+    estimator, estimate = payload.step(
+        settings.estimator, state.estimator, rate, tilt_factor, sample.fresh, sample.dt
+    )
+    load = Load(float(estimate.mass), float(estimate.std))
+    if sample.time_us - since_us < round(settings.settle_s * 1e6) and state.load is None:
+        if np.isfinite(estimator.suspected):  # it has just changed: begin anew
+            estimator = payload.accept(settings.estimator, estimator)
+            state = replace(state, flying_since_us=sample.time_us)
+        return replace(state, estimator=estimator), ()
+    first = state.load is None
+    state = replace(state, estimator=estimator, load=load)
+    outputs: list[Output] = []
+    if first:
+        outputs += _carrying(settings, load)
+    if state.expected is not None:
+        state, said = _watch_release(settings, state, load, sample.time_us)
+    else:
+        state, said = _watch_changes(settings, state, load, float(estimate.change), sample.time_us)
+    state, warned = _watch_limit(settings, state, load)
+    state, reports = _report(settings, state, load, sample.time_us)
+    return state, (*outputs, *said, *warned, *reports)
+
+
+def _clear(settings: PayloadSettings, load: Load) -> bool:
+    """There is a load."""
+    return load.mass > max(settings.estimator.detection.minimum, _SURE * load.std)
+
+
+def has_load(settings: PayloadSettings, state: Awareness) -> bool:
+    """The vehicle carries a load, and how heavy it is is known."""
+    return state.load is not None and state.pick_up is None and _clear(settings, state.load)
+
+
+def _carrying(settings: PayloadSettings, load: Load) -> list[Output]:
+    if not _clear(settings, load):
+        return []
+    return [Announce(Severity.INFO, f"carrying {load.mass:.1f} kg")]
+
+
+_Told = tuple[Awareness, tuple[Output, ...]]
+
+
+def _watch_changes(
+    settings: PayloadSettings, state: Awareness, load: Load, change: float, time_us: int
+) -> _Told:
+    """Put pick-up and drop into words."""
+    if change > 0.0:
+        before = load.mass - change if state.pick_up is None else state.pick_up.before
+        return replace(state, pick_up=PickUp(time_us, before)), ()
+    if change < 0.0:
+        before = load.mass - change
+        dropped = -change if _clear(settings, load) else before
+        return replace(state, pick_up=None), (Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg"),)
+    pick_up = state.pick_up
+    if pick_up is None or time_us - pick_up.since_us < round(settings.announce_s * 1e6):
+        return state, ()
+    text = f"picked up {load.mass - pick_up.before:.1f} kg"
+    return replace(state, pick_up=None), (Announce(Severity.NOTICE, text),)
+
+
+def _watch_release(settings: PayloadSettings, state: Awareness, load: Load, time_us: int) -> _Told:
+    """Has the commanded release happened?"""
+    expected = state.expected
+    assert expected is not None
+    elapsed = (time_us - expected.moment_us) * 1e-6
+    if elapsed < settings.estimator.detection.settle:
+        return state, ()
+    if load.mass < 0.5 * expected.load and load.std < 0.25 * expected.load:
+        text = Announce(Severity.NOTICE, f"dropped {expected.load:.1f} kg")
+        return replace(state, expected=None), (text,)
+    if elapsed < settings.release_timeout_s:
+        return state, ()
+    text = Announce(Severity.WARNING, f"release not seen: still {load.mass:.1f} kg")
+    return replace(state, expected=None), (text,)
+
+
+def _watch_limit(settings: PayloadSettings, state: Awareness, load: Load) -> _Told:
+    """Say once that a load is too heavy, when that is sure, and again only after it was not."""
+    limit = settings.max_load_kg
+    if limit is None or state.pick_up is not None or state.expected is not None:
+        return state, ()
+    if not state.heavy and load.mass - 2.0 * load.std > limit:
+        text = f"load of {load.mass:.1f} kg is above the limit of {limit:.1f} kg"
+        return replace(state, heavy=True), (Announce(Severity.WARNING, text),)
+    return replace(state, heavy=state.heavy and load.mass > limit), ()
+
+
+def _report(settings: PayloadSettings, state: Awareness, load: Load, time_us: int) -> _Told:
+    period_us = round(1e6 / settings.report_hz)
+    if state.reported_us is not None and time_us - state.reported_us < period_us:
+        return state, ()
+    report = PayloadReport(time_us, load.mass, load.std)
+    return replace(state, reported_us=time_us), (report,)
