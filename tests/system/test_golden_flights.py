@@ -18,6 +18,7 @@ from kffa_offboard.config_log import config_of
 from kffa_offboard.flightlog.notes import is_note
 from kffa_offboard.flightlog.signals import is_signals
 from kffa_offboard.flightlog.tlog import TIMESTAMP, read_tlog
+from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.replay.compare import compare
 from kffa_offboard.replay.engine import replay
 from kffa_offboard.replay.recording import read_recording
@@ -82,6 +83,7 @@ def fly(lock_step_flight, tmp_path):
         vehicle = bundled(f"demo-{personality}-vehicle.toml")
         flight.vehicle = SimulatedVehicle(sim_config.load(vehicle, {"payload": {"schedule": LOAD}}))
         flight.log = tmp_path / f"{name}.tlog"
+        flight.check_parameters(ParameterFile(tmp_path / "changed.json"))
         prepare(flight, **happening)
         flight.fly(lambda vehicle: bool(happening) and vehicle.time_us * 1e-6 > EVENT_S + 2.0)
         return thinned(flight.log, tmp_path / f"{name}.tlog.gz")
