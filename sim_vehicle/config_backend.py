@@ -97,6 +97,9 @@ class BackendSection(Section):
     kind: BackendKind = "bundled"
     real_time_factor: Annotated[float, Field(ge=0.0, le=100.0)] = 1.0
     """Simulated seconds per second; 0 for as fast as possible."""
+    barrier_port: Annotated[int, Field(ge=0, le=65535)] = 0
+    """UDP port on loopback that lets time go on at each `barrier_period_s` (`backends.barrier`); 0: none."""
+    barrier_period_s: Annotated[float, Field(ge=0.001, le=1.0)] = 0.004
     accel_noise_m_s2: NotNegative = 0.05
     gyro_noise_rad_s: NotNegative = 0.002
     """White noise on each sample of the inertial sensors (standard deviation)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 
 from sim_vehicle.backends.ardupilot_vehicle import NAME, ArdupilotVehicle
+from sim_vehicle.backends.barrier import Barrier
 from sim_vehicle.backends.base import Progress, Say
 from sim_vehicle.backends.pacing import Pacer, StallWatch
 from sim_vehicle.config import SimConfig
@@ -22,8 +23,9 @@ REMEDY = (
 class ArdupilotJsonBackend:
     """ArduPilot in software-in-the-loop flies the plant."""
 
-    def __init__(self, config: SimConfig, links: Links, say: Say) -> None:
+    def __init__(self, config: SimConfig, links: Links, say: Say, barrier: Barrier | None = None) -> None:
         self._config = config
+        self._barrier = barrier or Barrier(None)
         self._links = links
         self._say = say
         self._vehicle = ArdupilotVehicle(config)
@@ -84,4 +86,5 @@ class ArdupilotJsonBackend:
             self._say(news)
         if answer is not None:
             time.sleep(pacer.wait(answer.time_us, now))
+            self._barrier.wait(answer.time_us)
             self._links.send(answer.peer, answer.data)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Literal, TypeAlias
 
+from sim_vehicle.backends.barrier import Barrier
 from sim_vehicle.backends.base import Progress, Say
 from sim_vehicle.backends.pacing import Pacer, StallWatch
 from sim_vehicle.backends.px4_hil import SENSOR_PERIOD_US, Px4Vehicle
@@ -94,8 +95,16 @@ class _Session:
 class Px4HilBackend:
     """PX4 in software-in-the-loop flies the plant."""
 
-    def __init__(self, config: SimConfig, port: Px4Port, say: Say, clock: Clock = time.monotonic) -> None:
+    def __init__(
+        self,
+        config: SimConfig,
+        port: Px4Port,
+        say: Say,
+        clock: Clock = time.monotonic,
+        barrier: Barrier | None = None,
+    ) -> None:
         self._backend = config.backend
+        self._barrier = barrier or Barrier(None)
         self._port = port
         self._say = say
         self._clock = clock
@@ -168,6 +177,7 @@ class Px4HilBackend:
             session.pacer = rhythm.pacer(self._backend.real_time_factor)
         self._tell_once(session.told)
         self._rest(due)
+        self._barrier.wait(vehicle.time_us)
 
     def _send(self, frames: bytes, watch: StallWatch) -> None:
         """Send, and say so while PX4 does not read."""
