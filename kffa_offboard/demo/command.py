@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import platform
-import signal
 import sys
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -20,12 +16,13 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from kffa_offboard import __version__
 from kffa_offboard.config import bundled, load
-from kffa_offboard.demo.metrics import Array, FlightFailed, FlightMetrics, Truth, measure, read_truth
 from kffa_offboard.demo.processes import FlightPlan, FlightSummary, fly
-from kffa_offboard.demo.recording import Recording, read_recording
 from kffa_offboard.demo.table import results_table
 from kffa_offboard.errors import UserError
 from kffa_offboard.offboard.segments import Move, Takeoff
+from kffa_offboard.trials.metrics import Array, FlightFailed, FlightMetrics, Truth, measure, read_truth
+from kffa_offboard.trials.processes import terminate_as_interrupt
+from kffa_offboard.trials.recording import Recording, read_recording
 
 BASELINE = "cascaded-pid"
 EXPECTED_FLIGHT_S = 46.0
@@ -74,7 +71,7 @@ def run_demo(plan: DemoPlan) -> int:
     except OSError as error:
         raise UserError(f"--out {plan.directory}: {error.strerror}; choose another directory") from error
     try:
-        with _terminate_as_interrupt():
+        with terminate_as_interrupt():
             flights = _fly_all(plan, console)
             figures = _draw(plan, flights)
     except FlightFailed as error:
@@ -90,20 +87,6 @@ def run_demo(plan: DemoPlan) -> int:
         console.print(results_table(flights))
         console.print(f"Drawn: {', '.join(map(str, figures))}", soft_wrap=True, highlight=False)
     return 0
-
-
-@contextlib.contextmanager
-def _terminate_as_interrupt() -> Iterator[None]:
-    """SIGTERM ends the demonstration as Ctrl-C does, with everything that it started."""
-
-    def interrupt(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGTERM, interrupt)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
 
 
 def target_height(plan: FlightPlan) -> float:

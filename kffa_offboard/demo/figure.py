@@ -12,29 +12,12 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from kffa_offboard.control.controllers import ALTITUDE, PITCH, ROLL, YAW
-from kffa_offboard.demo.metrics import WINDOW_S, FlightMetrics, Truth
 from kffa_offboard.demo.processes import FlightPlan
-from kffa_offboard.demo.recording import Recording
+from kffa_offboard.trials.metrics import WINDOW_S, FlightMetrics, Truth
+from kffa_offboard.trials.recording import Recording
+from kffa_offboard.trials.style import BLUE, GREEN, GREY, ORANGE, STYLE, VIOLET
 
-BLUE, ORANGE, GREEN, VIOLET, GREY = "#1f5fa8", "#d9731a", "#2e8b57", "#8450a0", "#7a7a7a"
 _FLIGHT_COLOURS = (BLUE, ORANGE)
-
-_STYLE: Any = {
-    "font.family": "sans-serif",
-    "font.size": 10.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#555555",
-    "axes.grid": True,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 10.5,
-    "axes.titleweight": "bold",
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "lines.linewidth": 1.3,
-}
 
 
 class DrawnFlight(Protocol):
@@ -65,7 +48,7 @@ def draw_flight(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> 
     """
     first = flights[0]
     place = first.metrics.place is not None
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 14.5 if place else 12.0), dpi=130, layout="constrained")
         FigureCanvasAgg(figure)
         panels = figure.subplots(5 + place, 1, sharex=True, height_ratios=[3, *[3] * place, 2, 2, 2, 2])
@@ -92,7 +75,7 @@ def draw_drop(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> No
     Where a place is held, its distance stands below.
     """
     place = flights[0].metrics.place is not None
-    with mpl.rc_context(_STYLE):
+    with mpl.rc_context(STYLE):
         figure = Figure(figsize=(10.0, 7.0 if place else 4.0), dpi=130, layout="constrained")
         FigureCanvasAgg(figure)
         rows = figure.subplots(1 + place, 2, sharex=True, sharey="row", squeeze=False)

@@ -7,8 +7,8 @@ from typing import Protocol
 
 from rich.table import Table
 
-from kffa_offboard.demo.metrics import FlightMetrics, PlaceMetrics
 from kffa_offboard.demo.processes import FlightPlan, FlightSummary
+from kffa_offboard.trials.metrics import FlightMetrics, PlaceMetrics
 
 
 class MeasuredFlight(Protocol):

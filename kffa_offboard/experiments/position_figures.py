@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from kffa_offboard.demo.metrics import distance_from_path
 from kffa_offboard.experiments.examples import POSITION
 from kffa_offboard.experiments.figures import GREY, About, Drawn, draw, legend_above, plot
 from kffa_offboard.experiments.position_flights import CORNERS, PositionTrace, PositionTraces
 from kffa_offboard.experiments.settings import PaperSettings, PositionRing
+from kffa_offboard.trials.metrics import distance_from_path
 
 SHOWN_SEED = 0
 _DASHED: Any = (0, (4, 3))

@@ -9,12 +9,12 @@ import numpy as np
 
 from kffa_offboard.control import Array
 from kffa_offboard.control.controllers import ControllerName
-from kffa_offboard.demo.metrics import distance_from_path
 from kffa_offboard.experiments import metrics
 from kffa_offboard.experiments.claims import FAILS, HOLDS, OTHER, Claim, Verdict
 from kffa_offboard.experiments.examples import POSITION
 from kffa_offboard.experiments.position_flights import CORNERS, PositionTrace, PositionTraces
 from kffa_offboard.experiments.settings import PaperSettings, PositionRing
+from kffa_offboard.trials.metrics import distance_from_path
 
 HOVER_RMS_M, EXCURSION_M, OVERSHOOT_PERCENT = 0.15, 0.30, 5.0
 OURS: ControllerName = "kffa-ladrc"

@@ -12,11 +12,12 @@ from rich.console import Console
 
 from kffa_offboard.demo.command import DemoFlight, move_corners, target_height
 from kffa_offboard.demo.figure import draw_drop, draw_flight
-from kffa_offboard.demo.metrics import Deviation, FlightMetrics, PlaceMetrics, Truth
-from kffa_offboard.demo.processes import FlightPlan, FlightSummary, flown_s
-from kffa_offboard.demo.recording import Recording
+from kffa_offboard.demo.processes import FlightPlan, FlightSummary
 from kffa_offboard.demo.table import results_table
 from kffa_offboard.flightlog.signals import SignalTable
+from kffa_offboard.trials.metrics import Deviation, FlightMetrics, PlaceMetrics, Truth
+from kffa_offboard.trials.processes import flown_s
+from kffa_offboard.trials.recording import Recording
 
 METRICS = FlightMetrics(
     Deviation(0.0512, 0.0345), Deviation(0.0623, 0.0234), 0.0123, 0.0045, 2.0, 14.0, 22.0, 30.0

@@ -20,7 +20,6 @@ import pytest
 
 from kffa_offboard.config import DaemonConfig, Overrides, bundled, load
 from kffa_offboard.config_log import flight_header, make_companion
-from kffa_offboard.demo.metrics import Truth
 from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.parameter_check import CheckSettings
@@ -31,6 +30,7 @@ from kffa_offboard.mavlink.shell import RunResult, run_lock_step
 from kffa_offboard.mavlink.transport import Datagram
 from kffa_offboard.offboard.events import Announce, Signals
 from kffa_offboard.offboard.service import Service
+from kffa_offboard.trials.metrics import Truth
 from sim_vehicle import config as sim_config
 from sim_vehicle.vehicle import SimulatedVehicle
 

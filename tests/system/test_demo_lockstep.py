@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from kffa_offboard.demo.metrics import FlightMetrics, measure
+from kffa_offboard.trials.metrics import FlightMetrics, measure
 
 TARGET_M = 5.0
 PEAK_M, IAE_M_S, HOVER_RMS_M, ATTITUDE_RMS_RAD = 0.08, 0.10, 0.02, 0.02

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import pytest
 
-from kffa_offboard.demo.processes import free_port
 from kffa_offboard.flightlog.tlog import read_signals, read_tlog
+from kffa_offboard.trials.processes import free_port
 
 DAEMON = [sys.executable, "-m", "kffa_offboard"]
 VEHICLE = [sys.executable, "-m", "sim_vehicle"]

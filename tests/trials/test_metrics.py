@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from kffa_offboard.demo.metrics import FlightFailed, Truth, distance_from_path, measure, read_truth
+from kffa_offboard.trials.metrics import FlightFailed, Truth, distance_from_path, measure, read_truth
 
 LIFTOFF_S, PICKUP_S, DROP_S, LANDING_S, END_S = 3.0, 15.0, 23.0, 30.0, 40.0
 

@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.demo.metrics import FlightFailed
-from kffa_offboard.demo.recording import read_recording
 from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.offboard.events import Signals
+from kffa_offboard.trials.metrics import FlightFailed
+from kffa_offboard.trials.recording import read_recording
 
 ZERO = (0.0, 0.0, 0.0, 0.0)
 UNIX_US = 1_750_000_000_000_000

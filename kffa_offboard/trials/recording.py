@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from kffa_offboard.demo.metrics import FlightFailed
 from kffa_offboard.flightlog.signals import SignalTable, is_signals, table
 from kffa_offboard.flightlog.tlog import read_tlog
+from kffa_offboard.trials.metrics import FlightFailed
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,171 @@
+"""The link between firmware and daemon, in lock-step with the physics.
+
+Physics on its way stops at each barrier (`backend.barrier_port`) and tells the simulated time. What the
+firmware has sent by then, and is old enough for the link's delay, goes to the daemon, followed by a TIMESYNC
+request, which is the daemon's barrier (`mavlink.shell`). Its answer ends its turn; its frames go to the
+firmware when the delay has passed for them too, and physics goes on. So neither a busy computer nor a slow
+one changes the flight. Before the daemon has said a word, and after its end, physics is let go at once.
+
+The firmware's own TIMESYNC is left out: it would be taken for a barrier.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator
+from typing import TypeAlias
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
+from kffa_offboard.mavlink.transport import Datagram
+from kffa_offboard.trials.metrics import FlightFailed
+
+POLL_S = 0.1
+ANSWER_LIMIT_S = 30.0
+"""Wall time that the daemon may take to answer one barrier."""
+
+SIZE = 65535
+LOOPBACK = "127.0.0.1"
+Address: TypeAlias = tuple[str, int]
+
+
+class Bridge:
+    """See the module. `firmware_port`, `daemon_port` and `physics_port` are our ends of the three links.
+
+    Parameters
+    ----------
+    target_system : system id of the firmware, in whose name the barrier is sent
+    delay_s : of the link, in simulated time, each way
+    """
+
+    def __init__(self, target_system: int, delay_s: float) -> None:
+        self._firmware, self._daemon, self._physics = (_socket() for _ in range(3))
+        self.firmware_port, self.daemon_port, self.physics_port = (
+            int(end.getsockname()[1]) for end in (self._firmware, self._daemon, self._physics)
+        )
+        self._delay_us = round(delay_s * 1e6)
+        self._barrier = Component(Route(own_system=target_system, own_component=1))
+        self._parser = FrameParser(keeps_frames_whole=True)
+        self._firmware_at: Address | None = None
+        self._daemon_at: Address | None = None
+        self._time_us = 0
+        self._to_daemon: deque[tuple[int, bytes]] = deque()
+        self._to_firmware: deque[tuple[int, bytes]] = deque()
+        self._stop = threading.Event()
+        self.trouble = ""
+
+    def check(self) -> None:
+        """Raises FlightFailed if the daemon fell silent in the middle of the flight."""
+        if self.trouble:
+            raise FlightFailed(self.trouble)
+
+    def let_go(self) -> None:
+        """The daemon has ended: nobody is waited for any more."""
+        self._stop.set()
+
+    def run(self) -> None:
+        """Serve barriers until the sockets are closed."""
+        while True:
+            try:
+                ready, _, _ = select.select([self._physics], [], [], POLL_S)
+                if ready:
+                    word, physics_at = self._physics.recvfrom(64)
+                    self._pass((struct.unpack("<Q", word))[0])
+                    self._physics.sendto(word, physics_at)
+            except (OSError, ValueError):  # closed
+                return
+
+    def close(self) -> None:
+        """Close the sockets."""
+        self._stop.set()
+        for end in (self._firmware, self._daemon, self._physics):
+            end.close()
+
+    # ----------------------------------------------------------------------------- one barrier
+
+    def _pass(self, time_us: int) -> None:
+        slack_us = (time_us - self._time_us) // 2  # the barrier nearest to the due time
+        self._time_us = time_us
+        self._hear_firmware()
+        if not self._stop.is_set() and not self.trouble:
+            if self._daemon_at is None:
+                self._meet_daemon()
+            if self._daemon_at is not None:
+                self._give_turn(self._daemon_at, slack_us)
+        while self._to_firmware and self._to_firmware[0][0] <= time_us + slack_us:
+            data = self._to_firmware.popleft()[1]
+            if self._firmware_at is not None:
+                self._firmware.sendto(data, self._firmware_at)
+
+    def _hear_firmware(self) -> None:
+        for data, sender in _received(self._firmware):
+            self._firmware_at = sender
+            for message in self._parser.parse(Datagram(self._time_us, data, sender)):
+                if message.get_type() != "TIMESYNC":
+                    self._to_daemon.append((self._time_us + self._delay_us, bytes(message.get_msgbuf())))
+
+    def _meet_daemon(self) -> None:
+        """The daemon's first words tell where it is; what the firmware said before is stale."""
+        for _, sender in _received(self._daemon):
+            self._daemon_at = sender
+        while self._to_daemon and self._to_daemon[0][0] < self._time_us:
+            self._to_daemon.popleft()
+
+    def _give_turn(self, daemon_at: Address, slack_us: int) -> None:
+        """Bring the daemon to this time, and take what it has to say."""
+        while self._to_daemon and self._to_daemon[0][0] <= self._time_us + slack_us:
+            self._daemon.sendto(self._to_daemon.popleft()[1], daemon_at)
+        request = mavlink.MAVLink_timesync_message(0, self._time_us * 1000)
+        self._daemon.sendto(self._barrier.pack(request), daemon_at)
+        give_up = time.monotonic() + ANSWER_LIMIT_S
+        while not self._stop.is_set():
+            if time.monotonic() > give_up:
+                self.trouble = f"the daemon did not answer a barrier for {ANSWER_LIMIT_S:g} s of wall time"
+                return
+            select.select([self._daemon], [], [], POLL_S)
+            for data, _ in _received(self._daemon):
+                for message in self._parser.parse(Datagram(self._time_us, data, daemon_at)):
+                    if self._is_answer(message):
+                        return
+                    self._to_firmware.append((self._time_us + self._delay_us, bytes(message.get_msgbuf())))
+
+    def _is_answer(self, message: Message) -> bool:
+        return bool(message.get_type() == "TIMESYNC" and message.ts1 == self._time_us * 1000)
+
+
+@contextlib.contextmanager
+def bridge(target_system: int, delay_s: float) -> Iterator[Bridge]:
+    """A bridge that serves in a thread of its own until the block is left."""
+    served = Bridge(target_system, delay_s)
+    thread = threading.Thread(target=served.run, name="bridge", daemon=True)
+    thread.start()
+    try:
+        yield served
+    finally:
+        served.close()
+        thread.join()
+
+
+def _socket() -> socket.socket:
+    end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    end.bind((LOOPBACK, 0))
+    end.setblocking(False)
+    return end
+
+
+def _received(end: socket.socket) -> Iterator[tuple[bytes, Address]]:
+    """What has come."""
+    while True:
+        try:
+            yield end.recvfrom(SIZE)
+        except BlockingIOError:
+            return
+        except ConnectionError:  # the last datagram found nobody
+            continue

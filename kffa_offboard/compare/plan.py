@@ -1,0 +1,147 @@
+"""What the comparison flies: trials, each a pilot, a course and conditions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal, TypeAlias
+
+AutopilotName: TypeAlias = Literal["px4", "ardupilot"]
+CourseName: TypeAlias = Literal["load", "release", "attitude"]
+
+HEIGHT_M = 5.0
+"""Where every trial hovers."""
+
+PICKUP_S = 18.0
+DROP_S = 28.0
+"""When the physics hangs the load on and lets it go, in seconds since lift-off."""
+
+END_S = 36.0
+"""When landing begins, in seconds since lift-off."""
+
+SENSORS_OF_ARDUCOPTER_S = 45.0
+SENSORS_OF_PX4_S = 25.0
+"""Simulated time after which the estimator has found itself, and the daemon starts."""
+
+NORMAL_DELAY_S = 0.01
+"""Of the link, there and back."""
+
+HEAD_START_S: dict[AutopilotName, float] = {"px4": SENSORS_OF_PX4_S, "ardupilot": SENSORS_OF_ARDUCOPTER_S}
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What may be made harder.
+
+    Attributes
+    ----------
+    load_kg : mass that comes and goes
+    offset_m : how far forward of the centre it hangs
+    rate_hz : attitude and position telemetry
+    delay_s : of the link between vehicle and daemon, half of it each way
+    seed : of the noise of sensors
+    """
+
+    load_kg: float = 5.0
+    offset_m: float = 0.0
+    rate_hz: float = 100.0
+    delay_s: float = NORMAL_DELAY_S
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One flight.
+
+    Attributes
+    ----------
+    name : of its files
+    label : in tables and figures
+    controller : "native" for the autopilot's own height hold, or one of the daemon's
+    output : what the daemon commands beside thrust
+    tuned : native with our gains instead of the stock ones
+    course : "load" picks up and drops by the physics' clock, "release" has the daemon command the drop,
+        "attitude" steps roll, pitch and yaw
+    """
+
+    name: str
+    label: str
+    controller: str
+    output: str = "rates"
+    tuned: bool = False
+    course: CourseName = "load"
+    conditions: Conditions = field(default_factory=Conditions)
+
+    @property
+    def native(self) -> bool:
+        """Is it the autopilot that flies?"""
+        return self.controller == "native"
+
+
+@dataclass(frozen=True)
+class ComparePlan:
+    """What the command line asks for; see `kffa-offboard compare --help`."""
+
+    directory: Path
+    autopilot: AutopilotName = "px4"
+    firmware: Path | None = None
+    conditions: Conditions = field(default_factory=Conditions)
+    full: bool = False
+    only: tuple[str, ...] = ()
+    json: bool = False
+
+
+NATIVE_MODE: dict[AutopilotName, str] = {"px4": "Hold", "ardupilot": "Guided"}
+DEFAULT_OUTPUT: dict[AutopilotName, str] = {"px4": "rates", "ardupilot": "attitude"}
+OTHER_OUTPUT = {"rates": "attitude", "attitude": "rates"}
+
+
+def trials(plan: ComparePlan) -> list[Trial]:
+    """The flights of `plan`, in the order of the table."""
+    chosen = _standard(plan.autopilot, plan.conditions)
+    if plan.firmware is None:  # the imitation has not all of the real one's gains
+        chosen = [trial for trial in chosen if not trial.tuned]
+    if plan.full:
+        chosen += _harder(plan.autopilot, plan.conditions)
+    if plan.only:
+        chosen = [trial for trial in chosen if trial.name in plan.only]
+    return chosen
+
+
+def _standard(autopilot: AutopilotName, conditions: Conditions) -> list[Trial]:
+    output, mode = DEFAULT_OUTPUT[autopilot], NATIVE_MODE[autopilot]
+    other = OTHER_OUTPUT[output]
+    rows = [
+        Trial("native-stock", f"{mode}, stock gains", "native"),
+        Trial("native-tuned", f"{mode}, tuned gains", "native", tuned=True),
+        Trial("pid", "PID", "pid", output),
+        Trial("cascaded-pid", "cascaded PID", "cascaded-pid", output),
+        Trial("ladrc", "LADRC", "ladrc", output),
+        Trial("kffa-ladrc", "KFFA-LADRC", "kffa-ladrc", output),
+        Trial(f"kffa-ladrc-{other}", f"KFFA-LADRC, {other}", "kffa-ladrc", other),
+        Trial("release", "KFFA-LADRC, own release", "kffa-ladrc", output, course="release"),
+        Trial("attitude-rates", "KFFA-LADRC, rates", "kffa-ladrc", "rates", course="attitude"),
+        Trial("attitude-attitude", "KFFA-LADRC, attitude", "kffa-ladrc", "attitude", course="attitude"),
+    ]
+    return [replace(row, conditions=conditions) for row in rows]
+
+
+def _harder(autopilot: AutopilotName, conditions: Conditions) -> list[Trial]:
+    output, mode = DEFAULT_OUTPUT[autopilot], NATIVE_MODE[autopilot]
+    harder = {
+        "2kg": ("2 kg", replace(conditions, load_kg=2.0)),
+        "6.73kg": ("6.73 kg", replace(conditions, load_kg=6.73)),
+        "offset": ("5 cm off centre", replace(conditions, offset_m=0.05)),
+        "50hz": ("50 Hz telemetry", replace(conditions, rate_hz=50.0)),
+        "delay": ("60 ms link delay", replace(conditions, delay_s=0.06)),
+    }
+    rows = [
+        Trial(f"kffa-ladrc-{key}", f"KFFA-LADRC, {label}", "kffa-ladrc", output, conditions=changed)
+        for key, (label, changed) in harder.items()
+    ]
+    rows += [
+        Trial(f"native-stock-{key}", f"{mode}, stock gains, {harder[key][0]}", "native", conditions=changed)
+        for key in ("2kg", "6.73kg", "offset")
+        for changed in [harder[key][1]]
+    ]
+    return rows

@@ -1,0 +1,185 @@
+"""Physics and firmware of one trial as child processes on loopback."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from kffa_offboard.compare import firmware
+from kffa_offboard.compare.bridge import Bridge, bridge
+from kffa_offboard.compare.plan import DROP_S, HEAD_START_S, NORMAL_DELAY_S, PICKUP_S, AutopilotName, Trial
+from kffa_offboard.compare.toml_text import merged, toml_text
+from kffa_offboard.config import bundled
+from kffa_offboard.trials.metrics import FlightFailed
+from kffa_offboard.trials.processes import flown_s, free_port, last_line, process
+
+SIMULATED_LIMIT_S = 1000.0
+"""The physics ends by itself after so much simulated time, should it ever be left alone."""
+
+OUTPUTS_TIMEOUT_S = 0.25
+
+FIRMWARE_PATIENCE_S = 2.0
+"""How long a firmware may take to end when asked: it has nothing to lose."""
+
+
+@dataclass(frozen=True)
+class Setup:
+    """Where a trial's files go, and which autopilot flies it.
+
+    Attributes
+    ----------
+    autopilot : PX4 or ArduCopter
+    binary : the firmware's program; None for the bundled imitation, which flies in lock-step with its pilot
+    directory : of logs, configurations and true states
+    """
+
+    autopilot: AutopilotName
+    binary: Path | None
+    directory: Path
+
+    def file(self, trial: Trial, ending: str) -> Path:
+        """A file of a trial."""
+        return self.directory / f"{trial.name}{ending}"
+
+
+@dataclass(frozen=True)
+class Simulation:
+    """Physics and firmware that are running.
+
+    Attributes
+    ----------
+    url : where the pilot finds the vehicle
+    target_system : its system id
+    truth : CSV of true states, growing
+    head_start_s : simulated time that the estimator needs
+    bridge : between firmware and daemon; None if there is none
+    """
+
+    url: str
+    target_system: int
+    truth: Path
+    head_start_s: float
+    processes: tuple[tuple[str, subprocess.Popen[str], Path], ...]
+    bridge: Bridge | None = None
+
+    def check(self) -> None:
+        """Raises FlightFailed, with its last word, if one of the processes has ended."""
+        if self.bridge is not None:
+            self.bridge.check()
+        for name, child, log in self.processes:
+            if child.poll() is not None:
+                raise FlightFailed(f"{name} ended (status {child.returncode}): {last_line(log)}")
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time so far, s."""
+        return flown_s(self.truth)
+
+
+@contextlib.contextmanager
+def simulation(setup: Setup, trial: Trial) -> Iterator[Simulation]:
+    """Start what `trial` needs but its pilot; everything has ended when the block is left.
+
+    The firmware ends before the physics: without physics it could hang.
+    """
+    truth = setup.file(trial, "-truth.csv")
+    truth.unlink(missing_ok=True)
+    with contextlib.ExitStack() as stack:
+        if setup.binary is None:
+            yield _imitation(setup, trial, truth, stack)
+        else:
+            yield _real(setup, trial, truth, setup.binary, stack)
+
+
+def _imitation(setup: Setup, trial: Trial, truth: Path, stack: contextlib.ExitStack) -> Simulation:
+    """The bundled firmware with its own physics, in lock-step; its link makes the delay itself."""
+    port = free_port()
+    base = _read(bundled(f"demo-{setup.autopilot}-vehicle.toml"))
+    more = (trial.conditions.delay_s - NORMAL_DELAY_S) / 2.0  # than the demonstration's
+    link = {
+        "endpoints": [f"udpout:127.0.0.1:{port}"],
+        "telemetry_delay_s": max(0.0, base["link"]["telemetry_delay_s"] + more),
+        "command_delay_s": max(0.0, base["link"]["command_delay_s"] + more),
+    }
+    changes = {"link": link, "lockstep": {"enabled": True}}
+    physics = _physics(setup, trial, truth, merged(base, changes), stack)
+    return Simulation(f"udpin:127.0.0.1:{port}", 1, truth, 0.0, (physics,))
+
+
+def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextlib.ExitStack) -> Simulation:
+    """Real firmware; the daemon meets it on a bridge, the native pilot at once."""
+    directory = setup.file(trial, "-firmware")
+    shutil.rmtree(directory, ignore_errors=True)
+    directory.mkdir()
+    name = firmware.PX4 if setup.autopilot == "px4" else firmware.ARDUCOPTER
+    instance = firmware.free_instance()
+    link = None
+    if not trial.native:
+        link = stack.enter_context(bridge(name.system_id(instance), trial.conditions.delay_s / 2.0))
+    link_port = free_port() if link is None else link.firmware_port
+    wanted = name.start(binary, directory, link_port, instance, trial.tuned)
+    backend: dict[str, Any] = {"real_time_factor": 0.0, name.section: {"port": wanted.physics_port}}
+    if link is not None:
+        backend["barrier_port"] = link.physics_port
+        backend["barrier_period_s"] = name.barrier_period_s
+    if setup.autopilot == "px4":
+        # OFFBOARD before its first setpoint stops PX4's outputs, and with them its time: go on soon.
+        backend[name.section]["outputs_timeout_s"] = OUTPUTS_TIMEOUT_S
+    document = merged(_read(bundled(name.physics)), {"backend": backend})
+    physics = _physics(setup, trial, truth, document, stack)
+    log = setup.file(trial, "-firmware.log")
+    output = stack.enter_context(log.open("w", encoding="utf-8"))
+    child = stack.enter_context(
+        process(
+            wanted.command,
+            patience_s=FIRMWARE_PATIENCE_S,
+            cwd=directory,
+            env={**os.environ, **wanted.environment},
+            stdout=output,
+            stderr=output,
+        )
+    )
+    url = f"udpin:127.0.0.1:{link_port}" if link is None else f"udpout:127.0.0.1:{link.daemon_port}"
+    running = (physics, ("the firmware", child, log))
+    return Simulation(url, name.system_id(instance), truth, HEAD_START_S[setup.autopilot], running, link)
+
+
+def _physics(
+    setup: Setup, trial: Trial, truth: Path, document: dict[str, Any], stack: contextlib.ExitStack
+) -> tuple[str, subprocess.Popen[str], Path]:
+    """The simulator's process with the load of this trial."""
+    conditions = trial.conditions
+    schedule = [{"time_s": PICKUP_S, "mass_kg": conditions.load_kg}]
+    if trial.course == "load":
+        schedule.append({"time_s": DROP_S, "mass_kg": 0.0})
+    elif trial.course == "attitude":
+        schedule = []
+    down = document["payload"]["offset_m"][2]
+    payload = {
+        "schedule": schedule,
+        "gripper_mass_kg": conditions.load_kg,
+        "offset_m": [conditions.offset_m, 0.0, down],
+    }
+    config = setup.file(trial, "-vehicle.toml")
+    config.write_text(
+        toml_text(merged(document, {"payload": payload, "vehicle": {"seed": conditions.seed}})),
+        encoding="utf-8",
+    )
+    log = setup.file(trial, "-vehicle.log")
+    output = stack.enter_context(log.open("w", encoding="utf-8"))
+    command = [sys.executable, "-m", "sim_vehicle", "run", "--config", str(config), "--truth", str(truth)]
+    command += ["--duration", str(SIMULATED_LIMIT_S)]
+    child = stack.enter_context(process(command, stdout=output, stderr=output))
+    return ("the simulated vehicle", child, log)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    return tomllib.loads(path.read_text(encoding="utf-8"))

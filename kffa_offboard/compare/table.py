@@ -1,0 +1,89 @@
+"""The results as rows of text, for the terminal and the page."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from rich.table import Table
+
+from kffa_offboard.compare.plan import ComparePlan
+from kffa_offboard.compare.results import Result, Verdict
+
+LOAD_HEADER = (
+    "",
+    "pick-up peak [m]",
+    "IAE [m s]",
+    "recovery [s]",
+    "drop peak [m]",
+    "IAE [m s]",
+    "recovery [s]",
+    "hover rms [m]",
+    "level rms [deg]",
+    "tilt peak [deg]",
+)
+STEP_HEADER = ("", "channel", "overshoot [%]", "settling [s]", "turns")
+_DASH = "—"
+
+
+def firmware_name(plan: ComparePlan, results: Sequence[Result]) -> str:
+    """Name, version and commit of the firmware."""
+    name = {"px4": "PX4", "ardupilot": "ArduCopter"}[plan.autopilot]
+    if plan.firmware is None:
+        return f"the bundled imitation of {name}"
+    versions = [result.flown.version for result in results if result.flown and result.flown.version]
+    return f"{name} {versions[0].number} ({versions[0].commit})" if versions else name
+
+
+def load_row(result: Result) -> tuple[str, ...]:
+    """One row under `LOAD_HEADER`."""
+    load = result.load
+    if load is None:
+        return (result.trial.label, *[_DASH] * (len(LOAD_HEADER) - 1))
+    return (
+        result.trial.label,
+        f"{load.pickup.peak_m:.3f}",
+        f"{load.pickup.iae_m_s:.3f}",
+        _seconds(load.pickup_recovery_s),
+        f"{load.drop.peak_m:.3f}",
+        f"{load.drop.iae_m_s:.3f}",
+        _seconds(load.drop_recovery_s),
+        f"{load.hover_rms_m:.4f}",
+        f"{load.level_rms_deg:.2f}",
+        f"{load.tilt_peak_deg:.1f}",
+    )
+
+
+def step_rows(result: Result) -> list[tuple[str, ...]]:
+    """Rows under `STEP_HEADER`, one for each step."""
+    return [
+        (
+            result.trial.label,
+            step.channel,
+            f"{step.overshoot_percent:.1f}",
+            _seconds(step.settling_s),
+            str(step.swings),
+        )
+        for step in result.steps
+    ]
+
+
+def _seconds(value: float | None) -> str:
+    return "> window" if value is None else f"{value:.2f}"
+
+
+def tables(plan: ComparePlan, results: Sequence[Result], verdicts: Sequence[Verdict]) -> list[Table]:
+    """For the terminal: heights, steps, targets."""
+    heights = Table(title=f"{firmware_name(plan, results)}: {plan.conditions.load_kg:g} kg on 10 kg")
+    steps = Table(title="Steps of attitude")
+    targets = Table("target", "measured", "", title="Targets")
+    for header, table in ((LOAD_HEADER, heights), (STEP_HEADER, steps)):
+        for k, name in enumerate(header):
+            table.add_column(name, justify="left" if k == 0 else "right")
+    for result in results:
+        if result.trial.course != "attitude":
+            heights.add_row(*load_row(result))
+        for row in step_rows(result):
+            steps.add_row(*row)
+    for verdict in verdicts:
+        targets.add_row(verdict.target, verdict.measured, "met" if verdict.holds else "not met")
+    return [table for table in (heights, steps, targets) if table.row_count]

@@ -1,0 +1,67 @@
+"""What is flown, and how it is configured."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from kffa_offboard.compare.course import course, flown_steps
+from kffa_offboard.compare.flight import daemon_document
+from kffa_offboard.compare.plan import ComparePlan, Trial, trials
+from kffa_offboard.compare.simulation import Setup, Simulation
+from kffa_offboard.compare.toml_text import merged, toml_text
+from kffa_offboard.config import bundled, load
+
+
+def plan(autopilot: str = "px4", full: bool = True) -> ComparePlan:
+    return ComparePlan(Path("out"), "px4" if autopilot == "px4" else "ardupilot", Path("firmware"), full=full)
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_every_trials_configuration_can_be_flown(autopilot: str, tmp_path: Path) -> None:
+    wanted = plan(autopilot)
+    setup = Setup(wanted.autopilot, Path("firmware"), tmp_path)
+    running = Simulation("udpout:127.0.0.1:9", 21, tmp_path / "truth.csv", 0.0, ())
+    for trial in trials(wanted):
+        if trial.native:
+            continue
+        file = tmp_path / "daemon.toml"
+        file.write_text(toml_text(daemon_document(setup, trial, running)), encoding="utf-8")
+        assert load(file).service.scenario
+
+
+def test_names_of_trials_are_theirs_alone() -> None:
+    names = [trial.name for trial in trials(plan())]
+    assert len(names) == len(set(names))
+
+
+def test_a_slower_link_is_told_to_every_observer(tmp_path: Path) -> None:
+    setup = Setup("px4", Path("firmware"), tmp_path)
+    running = Simulation("udpout:127.0.0.1:9", 21, tmp_path / "truth.csv", 0.0, ())
+    chosen = {trial.name: trial for trial in trials(plan())}
+    usual = daemon_document(setup, chosen["kffa-ladrc"], running)["control"]
+    slow = daemon_document(setup, chosen["kffa-ladrc-delay"], running)["control"]
+    assert slow["altitude"]["delay_s"] == pytest.approx(usual["altitude"]["delay_s"] + 0.05)
+    assert slow["rates"]["yaw"]["delay_s"] == pytest.approx(usual["rates"]["yaw"]["delay_s"] + 0.05)
+
+
+def test_the_measured_steps_are_those_that_are_flown() -> None:
+    flown, time_s = [], 0.0
+    for segment in course(Trial("steps", "", "kffa-ladrc", course="attitude"))[2:-1]:
+        if segment["type"] == "step":
+            flown.append((segment["channel"], time_s))
+        time_s += segment["duration_s"]
+    assert [(step.channel, step.after_s) for step in flown_steps()] == flown
+
+
+def test_a_bundled_configuration_survives_being_written_again() -> None:
+    for name in ("compare-px4.toml", "px4-hil-vehicle.toml", "demo-ardupilot-vehicle.toml"):
+        document = tomllib.loads(bundled(name).read_text(encoding="utf-8"))
+        assert tomllib.loads(toml_text(document)) == document
+
+
+def test_changes_reach_into_tables_and_replace_arrays() -> None:
+    base = {"a": {"x": 1, "y": [1, 2]}, "b": 2}
+    assert merged(base, {"a": {"y": [3]}}) == {"a": {"x": 1, "y": [3]}, "b": 2}
