@@ -55,6 +55,11 @@ def shortest_interval_ms(loop_rate_hz: float) -> int:
     return max(1, math.floor(1000.0 / (0.8 * loop_rate_hz)))
 
 
+def mode_name(number: int) -> str:
+    """Name of a flight mode by ArduCopter's own number."""
+    return _NAMES.get(number, f"mode {number}")
+
+
 class ArduPilot(Autopilot):
     """ArduCopter's side of the interface.
 
@@ -73,7 +78,7 @@ class ArduPilot(Autopilot):
 
     def mode_of(self, custom_mode: int) -> tuple[ModeKind, str]:
         """See `Autopilot`."""
-        name = _NAMES.get(custom_mode, f"mode {custom_mode}")
+        name = mode_name(custom_mode)
         return _KINDS.get(name, ModeKind.OTHER), name
 
     def mode_numbers(self, kind: ModeKind) -> tuple[int, int]:
