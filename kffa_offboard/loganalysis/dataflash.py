@@ -1,8 +1,9 @@
 """ArduPilot's DataFlash container (.BIN): self-describing records, read into numpy arrays.
 
-Layout and format letters from ArduPilot libraries/AP_Logger/LogStructure.h. Written here rather than taken from
-pymavlink's DFReader because that one loops for ever on a damaged record of length 0 and reads a field at a time;
-the tests compare the two. Damaged stretches are skipped to the next record header and counted.
+Layout and format letters from ArduPilot libraries/AP_Logger/LogStructure.h. Written here rather than taken
+from
+pymavlink's DFReader because that one loops for ever on a damaged record of length 0 and reads a field at a
+time; the tests compare the two. Damaged stretches are skipped to the next record header and counted.
 """
 
 from __future__ import annotations
@@ -83,7 +84,7 @@ def _format(body: bytes) -> tuple[int, int, _Format] | None:
         (column, LETTERS[letter][0], (32,)) if letter == "a" else (column, LETTERS[letter][0])
         for column, letter in zip(columns, letters, strict=True)
     ]
-    dtype: np.dtype[np.void] = np.dtype(fields)  # type: ignore[arg-type]
+    dtype: np.dtype[np.void] = np.dtype(fields)
     if dtype.itemsize + _HEADER_SIZE != length:
         return None
     factors = {column: LETTERS[letter][1] for column, letter in zip(columns, letters, strict=True)}

@@ -1,8 +1,9 @@
 """Nonlinear least squares with honest confidence intervals.
 
-The residuals of a flight are not white: gusts, and what the model leaves out, last longer than a sample. Their
-covariance is therefore estimated with them (W. Newey and K. West, "A simple, positive semi-definite,
-heteroskedasticity and autocorrelation consistent covariance matrix", Econometrica 55, 1987) instead of assumed.
+The residuals of a flight are not white: gusts, and what the model leaves out, last longer than a sample.
+Their covariance is therefore estimated with them (W. Newey and K. West, "A simple, positive semi-definite,
+heteroskedasticity and autocorrelation consistent covariance matrix", Econometrica 55, 1987) instead of
+assumed.
 """
 
 from __future__ import annotations
@@ -39,7 +40,8 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Fit:
-    """Fitted parameters ``(p,)``, their covariance ``(p, p)``, and how well the model answers as the vehicle did.
+    """Fitted parameters ``(p,)``, their covariance ``(p, p)``, and how well the model answers as the
+    vehicle did.
 
     Attributes
     ----------

@@ -1,8 +1,9 @@
 """Which model a vehicle's channels have: b0, lag and delay from recorded commands and answers.
 
-A window of `WINDOW_S` counts as excited if the command moves by `EXCITATION` (standard deviation about a straight
-line); a channel is identified if `NEEDED_S` of flight is excited, the model explains `EXPLAINED` of the answer
-and b0 is known to `UNCERTAINTY`. Otherwise the reason is given, and what to fly.
+A window of `WINDOW_S` counts as excited if the command moves by `EXCITATION` (standard deviation about a
+straight
+line); a channel is identified if `NEEDED_S` of flight is excited, the model explains `EXPLAINED` of the
+answer and b0 is known to `UNCERTAINTY`. Otherwise the reason is given, and what to fly.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from kffa_offboard.loganalysis.response import MODELS, Kind, Window, make_window
 
 GRAVITY = 9.80665
 AXES = ("roll", "pitch", "yaw")
-CHANNELS = tuple(f"{kind}.{axis}" for kind in ("rates", "attitude") for axis in AXES) + ("altitude",)
+CHANNELS = (*(f"{kind}.{axis}" for kind in ("rates", "attitude") for axis in AXES), "altitude")
 
 WINDOW_S = 4.0
 NEEDED_S = 8.0
@@ -46,8 +47,8 @@ class Channel:
     name : "rates.roll" ... "altitude"
     b0 : output acceleration per unit of command
     parameters : by name, as in the configuration
-    sample_age_s : how old the newest sample is, on the median, when a command is sent; part of the `delay_s` that the
-        configuration wants, as the observer counts from the sample
+    sample_age_s : how old the newest sample is, on the median, when a command is sent; part of the
+        `delay_s` that the configuration wants, as the observer counts from the sample
     explained, excited_s, windows : how well, and on how much
     """
 
@@ -127,14 +128,16 @@ def _identify(name: str, records: list[FlightRecord]) -> Channel | NotIdentified
     if fitted.explained < EXPLAINED:
         return NotIdentified(
             name,
-            f"the model explains {100.0 * max(fitted.explained, 0.0):.0f} % of the answer, {100.0 * EXPLAINED:.0f} % "
+            f"the model explains {100.0 * max(fitted.explained, 0.0):.0f} % of the answer, "
+            f"{100.0 * EXPLAINED:.0f} % "
             f"needed: wind, contact or another controller acts; {fly} in calm air",
         )
     channel = _channel(name, kind, fitted, windows, usable)
     if channel.b0.half_width > UNCERTAINTY * channel.b0.value:
         return NotIdentified(
             name,
-            f"b0 = {channel.b0.value:.3g} +- {channel.b0.half_width:.2g} is not certain enough; {fly}, and longer",
+            f"b0 = {channel.b0.value:.3g} +- {channel.b0.half_width:.2g} is not certain enough; "
+            f"{fly}, and longer",
         )
     return channel
 

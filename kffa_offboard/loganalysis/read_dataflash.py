@@ -1,6 +1,7 @@
 """ArduPilot DataFlash logs (.BIN) as flight records.
 
-ATT (degrees; Des* is the attitude that is steered to), RATE (deg/s, *Des set points), XKF1 (EKF3 core 0: NED position,
+ATT (degrees; Des* is the attitude that is steered to), RATE (deg/s, *Des set points), XKF1 (EKF3 core 0:
+NED position,
 velocity), CTUN.ThO or RATE.AOut (thrust to the motors, 0..1), ARM, MODE, MSG, EV. Column meanings and
 units: ArduPilot libraries/AP_Logger/LogStructure.h and libraries/AC_AttitudeControl/LogStructure.h.
 """
@@ -32,7 +33,9 @@ def _numbers(table: _Table, *columns: str) -> Array | None:
     return np.stack([table[column].astype(float) for column in columns], axis=1)
 
 
-def _series(table: _Table | None, columns: tuple[str, ...], factor: float = 1.0, angles: bool = False) -> Series:
+def _series(
+    table: _Table | None, columns: tuple[str, ...], factor: float = 1.0, angles: bool = False
+) -> Series:
     """Columns over TimeUS, turned to the paper's axes if there are three."""
     times = None if table is None else _numbers(table, "TimeUS")
     values = None if table is None else _numbers(table, *columns)
@@ -101,7 +104,10 @@ def _landed(table: _Table | None) -> Series:
 def _notes(tables: dict[str, _Table]) -> tuple[Note, ...]:
     notes = []
     mode = _series(tables.get("MODE"), ("Mode",))
-    notes += [Note(float(t), "mode", mode_name(int(row[0]))) for t, row in zip(mode.time_s, mode.values, strict=True)]
+    notes += [
+        Note(float(t), "mode", mode_name(int(row[0])))
+        for t, row in zip(mode.time_s, mode.values, strict=True)
+    ]
     armed = _series(tables.get("ARM"), ("ArmState",))
     notes += [
         Note(float(t), "armed", "armed" if row[0] else "disarmed")

@@ -1,8 +1,9 @@
-"""Telemetry logs (.tlog) as flight records: arrival times beside the vehicle's own, commands as they were sent.
+"""Telemetry logs (.tlog) as flight records: arrival times beside the vehicle's own, commands as they were
+sent.
 
 Commands sent by a companion computer carry that computer's time. They are put on the vehicle's clock as the
-computer saw it: arrival time less the median of (arrival - sample). A delay from them to the response is therefore
-that of the whole loop, telemetry and command, which is what `delay_s` of a configuration means.
+computer saw it: arrival time less the median of (arrival - sample). A delay from them to the response is
+therefore that of the whole loop, telemetry and command, which is what `delay_s` of a configuration means.
 """
 
 from __future__ import annotations
@@ -126,7 +127,9 @@ class _Collector:
                     self.column("velocity").add(time_s, arrival_s, event.velocity)
                 case TargetReported():
                     time_s = message.time_boot_ms * 1e-3
-                    self._target("reported", time_s, arrival_s, event.attitude, event.body_rates, event.thrust)
+                    self._target(
+                        "reported", time_s, arrival_s, event.attitude, event.body_rates, event.thrust
+                    )
                 case _:
                     pass
 

@@ -2,7 +2,8 @@
 
 Topics (PX4 msg/): vehicle_attitude.q and vehicle_attitude_setpoint.q_d (FRD in NED, scalar first),
 vehicle_angular_velocity.xyz and vehicle_rates_setpoint (rad/s), vehicle_local_position (NED),
-vehicle_thrust_setpoint.xyz (z points down: thrust is -z), actuator_armed, vehicle_status, vehicle_land_detected.
+vehicle_thrust_setpoint.xyz (z points down: thrust is -z), actuator_armed, vehicle_status,
+vehicle_land_detected.
 """
 
 from __future__ import annotations

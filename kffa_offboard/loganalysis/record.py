@@ -26,8 +26,8 @@ class Series:
     ----------
     time_s : (n,) s, when the sample was taken (or the command given), on the clock of the record
     values : (n, k)
-    arrival_s : (n,) s, when it arrived at the computer that wrote the log, on that one's clock; None where the
-        file was written on board
+    arrival_s : (n,) s, when it arrived at the computer that wrote the log, on that one's clock; None where
+        the file was written on board
     """
 
     time_s: Array
@@ -108,8 +108,9 @@ class FlightRecord:
     armed, landed : (n, 1) 0 or 1 from that time on
     notes : modes, arming, texts
     autopilot : "px4", "ardupilot" or "" if the file does not say
-    commands_sent : the set points are those that a companion computer sent, at the vehicle's time of the newest
-        telemetry that it had: their delay is that of the whole loop. False: the delay is that of the vehicle alone.
+    commands_sent : the set points are those that a companion computer sent, at the vehicle's time of the
+        newest telemetry that it had: their delay is that of the whole loop. False: the delay is that of the
+        vehicle alone.
     clock_offset_s : arrival time less sample time, median; None without arrival times
     damage : what is wrong with the file; empty for a whole one
     """

@@ -1,6 +1,7 @@
 """What a channel answers to the recorded command, for given parameters: the models that `identify` fits.
 
-Commands are held between the moments at which they were given; transport delay and lag are exact for them up to
+Commands are held between the moments at which they were given; transport delay and lag are exact for them
+up to
 the 5 ms grid. What a model cannot know (trim, initial state, slow disturbance) is a linear combination of a
 few known functions of time, the nuisance basis, which the fit projects out (variable projection: G. Golub and
 V. Pereyra, "Separable nonlinear least squares", Inverse Problems 19, 2003).
@@ -49,7 +50,7 @@ class Window:
         return float(self.time_s[-1] - self.time_s[0])
 
     def delayed(self, delay_s: float) -> Array:
-        """Mean command in each cell of the grid, ``(m,)``, when commands act `delay_s` after they were given."""
+        """Mean command in each cell of the grid, ``(m,)``, when commands act `delay_s` after being given."""
         ends = np.interp(self.grid_s - delay_s, self.knots_s, self.integral)
         return np.diff(ends) / GRID_S
 
@@ -104,7 +105,7 @@ def _attitude(parameters: Array, window: Window) -> tuple[Array, Array]:
 
 
 def _altitude(parameters: Array, window: Window) -> tuple[Array, Array]:
-    """Climb rate under lagged thrust. Parameters: b0, lag, delay; disturbances up to a ramp are projected out."""
+    """Climb rate under lagged thrust. Parameters: b0, lag, delay; slow disturbances are projected out."""
     b0, lag, delay = parameters
     acceleration = b0 * _lagged(window.delayed(delay), lag) * window.tilt_factor
     speed = window.sampled(GRID_S * np.cumsum(acceleration - np.mean(acceleration)))

@@ -1,0 +1,24 @@
+"""Writing results: one place for directories that cannot be made and files that cannot be written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from kffa_offboard.errors import UserError
+
+
+def make_directory(path: Path) -> Path:
+    """Make `path` and its parents. Raises UserError if that cannot be."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise UserError(f"--out {path}: {error.strerror}; choose another directory") from error
+    return path
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write a file. Raises UserError if that cannot be."""
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise UserError(f"--out {path}: {error.strerror}; choose another place") from error

@@ -1,0 +1,140 @@
+"""``kffa-offboard tune``: a model in, bandwidths, margins and pictures of the loops out."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from rich.console import Console
+from rich.table import Table
+
+from kffa_offboard.config import read_toml
+from kffa_offboard.config_control import ControlTable
+from kffa_offboard.control.controllers import CHANNELS
+from kffa_offboard.errors import UserError
+from kffa_offboard.loganalysis.margins import Wanted
+from kffa_offboard.loganalysis.model_file import as_toml, merged
+from kffa_offboard.loganalysis.output_files import make_directory, write_text
+from kffa_offboard.loganalysis.tune import TunedChannel, tune
+
+RANGE_SHARE = 0.2
+"""omega_c_range, the fuzzy rules' play, as a share of omega_c."""
+
+
+def run_tune(model: Path, wanted: Wanted, period_s: float, out: Path, as_json: bool) -> int:
+    """Do it and return the exit status, 0."""
+    document = read_toml(model)
+    given = document.get("control", {})
+    control, channels = control_of(given, str(model))
+    tuned = tune(control, channels, period_s, wanted)
+    make_directory(out)
+    tables = tuned_tables(given, control, tuned)
+    comments = {_table_name(control, channel): [_describe(channel)] for channel in tuned}
+    head = f"Tuned by kffa-offboard from {model.name}: put these tables into your configuration."
+    write_text(out / "tuned.toml", as_toml(tables, comments, head))
+    from kffa_offboard.loganalysis.tune_figure import draw  # matplotlib and python-control are slow to import
+
+    draw(out / "loops.png", tuned, wanted)
+    if as_json:
+        print(json.dumps(_as_json(tuned)), flush=True)
+    else:
+        _tell(tuned, out, Console())
+    return 0
+
+
+def control_of(given: Any, name: str) -> tuple[ControlTable, tuple[int, ...]]:
+    """The `[control]` table with defaults for what is missing, and the channels that are given.
+
+    Raises UserError for a model that is none.
+    """
+    if not isinstance(given, dict) or not any(key in given for key in ("altitude", "rates", "attitude")):
+        raise UserError(
+            f"{name}: no [control.*] tables; give the file that `kffa-offboard identify --out` wrote"
+        )
+    output = given.get("output", "rates" if "rates" in given or "attitude" not in given else "attitude")
+    complete = merged({"altitude": {"hover_thrust": 0.5}, "output": output}, given)
+    try:
+        control = ControlTable.model_validate(complete)
+    except ValidationError as error:
+        first = error.errors()[0]
+        key = ".".join(str(part) for part in ("control", *first["loc"]))
+        raise UserError(f"{name}: {key}: {first['msg']}") from error
+    axes = given.get(output, {})
+    channels = [k for k, channel in enumerate(CHANNELS[:3]) if channel in axes]
+    if "altitude" in given:
+        channels.append(3)
+    return control, tuple(channels)
+
+
+def _table_name(control: ControlTable, channel: TunedChannel) -> str:
+    if channel.name == "altitude":
+        return "control.altitude"
+    return f"control.{control.output}.{channel.name}"
+
+
+def tuned_tables(given: dict[str, Any], control: ControlTable, tuned: list[TunedChannel]) -> dict[str, Any]:
+    """The model with the bandwidths put in."""
+    tables: dict[str, Any] = {"control": dict(given)}
+    for channel in tuned:
+        gains: dict[str, Any] = {
+            "omega_c": round(channel.omega_c, 3),
+            "omega_o": round(channel.omega_o, 2),
+            "omega_c_range": round(RANGE_SHARE * channel.omega_c, 3),
+            "prediction_s": round(channel.prediction_s, 4),
+        }
+        for part in reversed(_table_name(control, channel).split(".")):
+            gains = {part: gains}
+        tables = merged(tables, gains)
+    return tables
+
+
+def _describe(channel: TunedChannel) -> str:
+    margins = channel.margins
+    return (
+        f"{margins.gain_db:.1f} dB, {margins.phase_deg:.0f} deg, {1e3 * margins.delay_s:.0f} ms of delay; "
+        f"crossover at {margins.crossover_rad_s:.1f} rad/s"
+    )
+
+
+def _as_json(tuned: list[TunedChannel]) -> dict[str, Any]:
+    return {
+        channel.name: {
+            "omega_c": channel.omega_c,
+            "omega_o": channel.omega_o,
+            "prediction_s": channel.prediction_s,
+            **asdict(channel.margins),
+            "disturbance_peak": channel.disturbance_peak,
+            "disturbance_area": channel.disturbance_area,
+        }
+        for channel in tuned
+    }
+
+
+def _tell(tuned: list[TunedChannel], out: Path, console: Console) -> None:
+    table = Table(
+        "channel", "omega_c", "omega_o", "looks ahead", "gain margin", "phase margin", "delay margin"
+    )
+    for channel in tuned:
+        margins = channel.margins
+        table.add_row(
+            channel.name,
+            f"{channel.omega_c:.2f} rad/s",
+            f"{channel.omega_o:.1f} rad/s",
+            f"{1e3 * channel.prediction_s:.0f} ms",
+            f"{margins.gain_db:.1f} dB",
+            f"{margins.phase_deg:.0f} deg at {margins.crossover_rad_s:.1f} rad/s",
+            f"{1e3 * margins.delay_s:.0f} ms",
+        )
+    console.print(table)
+    for channel in tuned:
+        if channel.name == "altitude":
+            console.print(
+                f"A load of half the vehicle's mass, dropped, moves it by "
+                f"{4.9 * channel.disturbance_peak:.2f} m "
+                f"(integrated {4.9 * channel.disturbance_area:.2f} m s).",
+                highlight=False,
+            )
+    console.print(f"Written: {out / 'tuned.toml'}, {out / 'loops.png'}", soft_wrap=True, highlight=False)

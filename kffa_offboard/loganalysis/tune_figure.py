@@ -1,0 +1,84 @@
+"""The tuned loops: Bode plots with the margins marked and Nyquist curves, by python-control."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import control
+import matplotlib
+
+matplotlib.use("Agg")
+import matplotlib.pyplot as plt
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from kffa_offboard.loganalysis.loop_model import LinearSystem
+from kffa_offboard.loganalysis.margins import Wanted, frequencies
+from kffa_offboard.loganalysis.tune import TunedChannel
+
+
+def as_control(system: LinearSystem) -> control.StateSpace:
+    """The same system for python-control."""
+    return control.StateSpace(system.a, system.b, system.c, system.d, system.period_s)
+
+
+def draw(path: Path, tuned: list[TunedChannel], wanted: Wanted) -> None:
+    """One column a channel: gain, phase, Nyquist."""
+    figure, axes = plt.subplots(
+        3, len(tuned), figsize=(4.0 * len(tuned) + 1.0, 10.0), squeeze=False, constrained_layout=True
+    )
+    for column, channel in enumerate(tuned):
+        omega = frequencies(channel.loop.period_s)
+        response = control.frequency_response(as_control(channel.loop), omega)
+        loop = np.asarray(response.complex).reshape(-1)
+        _bode(axes[0, column], axes[1, column], channel, omega, loop)
+        _nyquist(axes[2, column], loop, wanted)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def _bode(
+    gain: Axes, phase: Axes, channel: TunedChannel, omega: NDArray[np.float64], loop: NDArray[np.complex128]
+) -> None:
+    margins = channel.margins
+    decibels = 20.0 * np.log10(np.abs(loop))
+    degrees = np.degrees(np.unwrap(np.angle(loop)))
+    gain.semilogx(omega, decibels)
+    gain.axhline(0.0, color="0.5", lw=0.8)
+    at = np.interp(margins.phase_crossover_rad_s, omega, decibels)
+    gain.plot([margins.phase_crossover_rad_s] * 2, [0.0, at], "r", marker="o", ms=3)
+    gain.set_title(
+        f"{channel.name}: ωc {channel.omega_c:.2f}, ωo {channel.omega_o:.1f} rad/s\n"
+        f"{margins.gain_db:.1f} dB, {margins.phase_deg:.0f}°, {1e3 * margins.delay_s:.0f} ms",
+        fontsize=10,
+    )
+    gain.set_ylabel("gain, dB")
+    phase.semilogx(omega, degrees)
+    here = float(np.interp(margins.crossover_rad_s, omega, degrees))
+    line = 360.0 * np.round((here + 180.0) / 360.0) - 180.0
+    phase.axhline(line, color="0.5", lw=0.8)
+    phase.plot([margins.crossover_rad_s] * 2, [line, here], "r", marker="o", ms=3)
+    phase.set_ylim(line - 180.0, line + 270.0)
+    phase.set_ylabel("phase, degrees")
+    phase.set_xlabel("rad/s")
+    for axis in (gain, phase):
+        axis.grid(alpha=0.3, which="both")
+
+
+def _nyquist(axis: Axes, loop: NDArray[np.complex128], wanted: Wanted) -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi, 200)
+    axis.plot(np.cos(angle), np.sin(angle), color="0.7", lw=0.8)
+    axis.plot(loop.real, loop.imag)
+    axis.plot(-1.0, 0.0, "r+", ms=10)
+    factor = 10.0 ** (wanted.gain_db / 20.0)
+    axis.plot([-factor, -1.0 / factor], [0.0, 0.0], "r", lw=2.0, alpha=0.6)
+    bound = np.radians(wanted.phase_deg)
+    arc = np.linspace(np.pi - bound, np.pi + bound, 50)
+    axis.plot(np.cos(arc), np.sin(arc), "r", lw=2.0, alpha=0.6)
+    axis.set_xlim(-3.5, 1.5)
+    axis.set_ylim(-2.5, 2.5)
+    axis.set_aspect("equal")
+    axis.grid(alpha=0.3)
+    axis.set_xlabel("real (red: margins asked for)")
+    axis.set_ylabel("imaginary")
