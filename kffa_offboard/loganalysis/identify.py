@@ -1,9 +1,8 @@
 """Which model a vehicle's channels have: b0, lag and delay from recorded commands and answers.
 
 A window of `WINDOW_S` counts as excited if the command moves by `EXCITATION` (standard deviation about a
-straight
-line); a channel is identified if `NEEDED_S` of flight is excited, the model explains `EXPLAINED` of the
-answer and b0 is known to `UNCERTAINTY`. Otherwise the reason is given, and what to fly.
+straight line); a channel is identified if `NEEDED_S` of flight is excited, the model explains `EXPLAINED` of
+the answer and b0 is known to `UNCERTAINTY`. Otherwise the reason is given, and what to fly.
 """
 
 from __future__ import annotations

@@ -54,6 +54,8 @@ def _series(
     if data is None or values is None:
         return empty(width)
     stamp = "timestamp_sample" if np.any(data.get("timestamp_sample", 0)) else "timestamp"
+    if stamp not in data:  # a damaged format
+        return empty(width)
     return series(np.asarray(data[stamp], dtype=float) * 1e-6, turn(values), width)
 
 

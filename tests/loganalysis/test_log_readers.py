@@ -1,0 +1,117 @@
+"""Three formats, one flight; and files that are not what they should be."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from pymavlink.DFReader import DFReader_binary
+
+from kffa_offboard.errors import UserError
+from kffa_offboard.loganalysis import dataflash
+from kffa_offboard.loganalysis.read import read_log
+
+KINDS = ("tlog", "dataflash", "ulog")
+TURN = np.array([1.0, -1.0, -1.0])
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_format_gives_the_same_flight_in_the_papers_axes(
+    kind: str, log_files: dict[str, Path], flight: Any
+) -> None:
+    record = read_log(log_files[kind])
+    assert record.source == kind
+    assert not record.partial
+    for series, ned in (
+        (record.attitude, flight.euler),
+        (record.body_rates, flight.rates),
+        (record.position, flight.position),
+        (record.velocity, flight.velocity),
+        (record.rates_setpoint, flight.rates_setpoint),
+    ):
+        assert np.allclose(series.values, TURN * ned, atol=1e-4)
+    assert np.allclose(record.thrust.values[:, 0], flight.thrust, atol=1e-6)
+    assert np.allclose(record.attitude.time_s, flight.time_s, atol=1e-3)
+
+
+def test_commands_in_a_companions_log_count_from_the_sample_that_it_had(
+    log_files: dict[str, Path], flight: Any
+) -> None:
+    record = read_log(log_files["tlog"])
+    assert record.commands_sent
+    assert np.allclose(record.rates_setpoint.time_s, flight.time_s, atol=1e-3)
+    assert record.clock_offset_s == pytest.approx(1.7e9 + 0.03, abs=1e-3)
+
+
+def test_reported_set_points_are_taken_where_none_were_sent(reported_tlog: Path, flight: Any) -> None:
+    record = read_log(reported_tlog)
+    assert not record.commands_sent
+    assert np.allclose(record.rates_setpoint.values, TURN * flight.rates_setpoint, atol=1e-6)
+
+
+def test_dataflash_columns_are_those_of_pymavlink(log_files: dict[str, Path]) -> None:
+    ours = dataflash.read(log_files["dataflash"], frozenset({"ATT", "RATE"})).tables
+    reader = DFReader_binary(str(log_files["dataflash"]))
+    messages = [reader.recv_msg() for _ in range(800)]
+    for name, columns in ours.items():
+        theirs = [message for message in messages if message is not None and message.get_type() == name]
+        for column, values in columns.items():
+            expected = [getattr(message, column) for message in theirs]
+            assert np.allclose(values[: len(expected)].astype(float), expected)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_cut_short_gives_what_came_before_and_says_so(
+    kind: str, log_files: dict[str, Path], tmp_path: Path
+) -> None:
+    data = log_files[kind].read_bytes()
+    cut = tmp_path / log_files[kind].name
+    cut.write_bytes(data[: len(data) // 2 + 5])
+    record = read_log(cut)
+    assert 1.0 < record.duration_s < 3.0
+    if kind != "ulog":  # pyulog does not tell
+        assert record.partial
+
+
+@pytest.mark.parametrize("content", [b"", b"hello, world, this is a text file\n" * 9, b"\x00" * 100])
+def test_a_file_of_another_kind_is_refused_in_one_line_that_names_it(content: bytes, tmp_path: Path) -> None:
+    path = tmp_path / "notes.BIN"
+    path.write_bytes(content)
+    with pytest.raises(UserError) as refusal:
+        read_log(path)
+    assert str(path) in str(refusal.value)
+    assert "\n" not in str(refusal.value)
+
+
+def test_a_log_without_attitude_names_the_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "bare.BIN"
+    path.write_bytes(
+        b"\xa3\x95\x80" + bytes([200, 11]) + b"XYZ\0Q".ljust(20, b"\0") + b"TimeUS".ljust(64, b"\0")
+    )
+    with pytest.raises(UserError, match="LOG_BITMASK"):
+        read_log(path)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@settings(max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_no_damage_crashes_or_hangs_a_reader(kind: str, log_files: dict[str, Path], data: Any) -> None:
+    content = bytearray(log_files[kind].read_bytes()[:12_000])
+    for position in data.draw(st.lists(st.integers(0, len(content) - 1), max_size=8)):
+        content[position] = data.draw(st.integers(0, 255))
+    del content[data.draw(st.integers(0, len(content))) :]
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / "damaged"
+        path.write_bytes(content)
+        try:
+            record = read_log(path)
+        except UserError as error:
+            assert str(path) in str(error)
+            assert "\n" not in str(error)
+        else:
+            assert np.all(np.diff(record.attitude.time_s) > 0.0)

@@ -1,0 +1,132 @@
+"""The linear loop is the one that flies, and tuned loops have the margins that were asked for."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+
+import control as oracle
+import numpy as np
+import pytest
+
+from kffa_offboard.config_control import ControlTable
+from kffa_offboard.control import controllers
+from kffa_offboard.errors import UserError
+from kffa_offboard.loganalysis.link_quality import DEAD_TIME_SHIFT_S, OMEGA_C_SCALE
+from kffa_offboard.loganalysis.loop_model import (
+    LinearController,
+    PlantNumbers,
+    closed_loop,
+    frequency_response,
+    open_loop,
+    plant,
+    step_response,
+)
+from kffa_offboard.loganalysis.margins import Wanted, frequencies, margins
+from kffa_offboard.loganalysis.tune import allowed_bandwidths, parameters_of, tune
+from kffa_offboard.loganalysis.tune_command import control_of, run_tune
+
+PERIOD_S = 0.01
+ALTITUDE = PlantNumbers(b0=24.6, damping=0.0, stiffness=0.0, delay_s=0.0525, lag_s=0.05)
+CONTROL = ControlTable.model_validate(
+    {"altitude": {"hover_thrust": 0.3986, "delay_s": 0.0525, "lag_s": 0.05, "omega_c": 3.0, "omega_o": 30.0}}
+)
+
+
+def test_the_linear_loop_recovers_from_a_load_as_the_controller_itself_does() -> None:
+    base = LinearController.of(parameters_of(CONTROL), PERIOD_S)
+    vehicle = plant(ALTITUDE, PERIOD_S)
+    predicted = step_response(closed_loop(base.system(3), vehicle), 2.0)
+    state = controllers.initial_state(base.parameters, np.zeros(4), np.zeros(4))
+    x, flown = np.zeros(len(vehicle.a)), []
+    for _ in range(len(predicted)):
+        y = vehicle.c @ x
+        measured, rate = np.array([0.0, 0.0, 0.0, y[0]]), np.array([0.0, 0.0, 0.0, y[1]])
+        inputs = controllers.ControllerInput(np.zeros(4), measured, np.ones(4, dtype=bool), rate)
+        state, output = controllers.step(base.parameters, state, inputs, PERIOD_S)
+        x = vehicle.a @ x + vehicle.b @ np.array([output.command[3], 1.0])
+        flown.append(y[0])
+    assert np.max(np.abs(flown)) > 0.02
+    assert np.allclose(flown, predicted, atol=0.01 * np.max(np.abs(flown)))
+
+
+def test_the_held_command_moves_the_plant_as_a_fine_simulation_says() -> None:
+    vehicle, fine = plant(ALTITUDE, PERIOD_S), 1e-5
+    commands = np.sign(np.sin(np.arange(40) * 0.7))
+    x = np.zeros(len(vehicle.a))
+    for command in commands:
+        x = vehicle.a @ x + vehicle.b @ np.array([command, 0.0])
+    y = rate = motor = 0.0
+    for k in range(round(len(commands) * PERIOD_S / fine)):
+        slot = int((k * fine - ALTITUDE.delay_s + 1e-9) // PERIOD_S)
+        acting = commands[slot] if slot >= 0 else 0.0
+        y, rate = y + fine * rate, rate + fine * ALTITUDE.b0 * motor
+        motor += fine * (acting - motor) / ALTITUDE.lag_s
+    assert np.allclose(vehicle.c @ x, [y, rate], rtol=2e-3)
+
+
+def test_margins_are_those_of_python_control() -> None:
+    base = LinearController.of(parameters_of(CONTROL), PERIOD_S)
+    loop = open_loop(base.system(3), plant(ALTITUDE, PERIOD_S))
+    ours = margins(frequencies(PERIOD_S), frequency_response(loop, frequencies(PERIOD_S)))
+    system = oracle.StateSpace(loop.a, loop.b, loop.c, loop.d, loop.period_s)
+    fine = np.geomspace(0.1, 300.0, 4000)
+    response = oracle.frequency_response(system, fine)
+    gains, phases, *_ = oracle.stability_margins(response, returnall=True)
+    nearest = np.min(np.abs(20.0 * np.log10(gains)))
+    assert ours.gain_db == pytest.approx(nearest, abs=0.2)
+    assert ours.phase_deg == pytest.approx(np.min(np.abs(phases)), abs=1.0)
+
+
+@pytest.fixture(scope="module")
+def model() -> dict[str, dict[str, object]]:
+    return {
+        "altitude": {"hover_thrust": 0.3986, "delay_s": 0.0525, "lag_s": 0.05},
+        "rates": {"roll": {"rate_time_constant_s": 0.07, "delay_s": 0.055}},
+    }
+
+
+def test_tuned_channels_have_the_margins_and_no_others_are_touched(
+    model: dict[str, dict[str, object]],
+) -> None:
+    control, channels = control_of(model, "model.toml")
+    assert channels == (0, 3)
+    wanted = Wanted(6.0, 30.0, 0.02)
+    for tuned in tune(control, channels, PERIOD_S, wanted):
+        assert tuned.margins.gain_db >= 6.0
+        assert tuned.margins.phase_deg >= 30.0
+        assert tuned.margins.delay_s >= 0.02
+        assert 2.0 * tuned.omega_c < tuned.omega_o
+
+
+def test_more_margin_costs_bandwidth() -> None:
+    quick = allowed_bandwidths(0.05, 0.05, PERIOD_S, Wanted(6.0, 30.0, 0.02))
+    calm = allowed_bandwidths(0.05, 0.05, PERIOD_S, Wanted(6.0, 45.0, 0.02))
+    assert calm.disturbance_area > 1.5 * quick.disturbance_area
+
+
+@pytest.mark.parametrize(("delay_s", "period_s"), [(0.03, 0.05), (0.06, 0.01), (0.1, 0.05)])
+def test_the_rule_of_the_link_verdict_stays_inside_what_the_loop_allows(
+    delay_s: float, period_s: float
+) -> None:
+    dead = delay_s + 0.5 * period_s
+    allowed = allowed_bandwidths(delay_s, 0.05, period_s, Wanted(6.0, 30.0, 0.02))
+    assert OMEGA_C_SCALE / (dead - DEAD_TIME_SHIFT_S) <= 1.1 * allowed.omega_c
+
+
+def test_margins_that_nothing_has_are_refused_with_the_remedy() -> None:
+    with pytest.raises(UserError, match="smaller margins"):
+        allowed_bandwidths(0.4, 0.05, 0.02, Wanted(12.0, 70.0, 0.2))
+
+
+def test_tune_writes_tables_that_load_and_a_picture(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = tmp_path / "model.toml"
+    file.write_text("[control.rates.roll]\nrate_time_constant_s = 0.07\ndelay_s = 0.055\n")
+    assert run_tune(file, Wanted(), PERIOD_S, tmp_path / "out", False) == 0
+    assert "roll" in capsys.readouterr().out
+    tuned = tomllib.loads((tmp_path / "out" / "tuned.toml").read_text())
+    control, _ = control_of(tuned["control"], "tuned.toml")
+    assert control.rates.roll.omega_c > 1.0
+    assert (tmp_path / "out" / "loops.png").stat().st_size > 10_000
