@@ -115,7 +115,7 @@ def _identify(name: str, records: list[FlightRecord]) -> Channel | NotIdentified
         found, level = excited_windows(record, name)
         windows += found
         strongest = max(strongest, level)
-    excited = sum(window.duration_s for window in windows)
+    excited = WINDOW_S * len(windows)
     fly = f"fly {_ADVICE[axis]} (the scenario of configs/identify-px4.toml has them)"
     if excited < NEEDED_S:
         return NotIdentified(
@@ -154,7 +154,7 @@ def _channel(
     else:
         b0 = parameters.pop("b0")
         parameters["hover_thrust"] = fitted.of(GRAVITY / first, GRAVITY * std / first**2)
-    excited = sum(window.duration_s for window in windows)
+    excited = WINDOW_S * len(windows)
     age = float(np.median([_sample_age(record, kind) for record in records]))
     return Channel(name, b0, parameters, age, fitted.explained, excited, len(windows))
 

@@ -87,11 +87,21 @@ def read(path: Path) -> FlightRecord:
         attitude_setpoint=_series(tables.get("ATT"), ("DesRoll", "DesPitch", "DesYaw"), degrees, angles=True),
         rates_setpoint=_series(tables.get("RATE"), ("RDes", "PDes", "YDes"), degrees),
         thrust=max(throttle, key=len),
-        armed=_series(tables.get("ARM"), ("ArmState",)),
-        landed=_landed(tables.get("EV")),
+        armed=_before(_series(tables.get("ARM"), ("ArmState",)), attitude.time_s[0]),
+        landed=_before(_landed(tables.get("EV")), attitude.time_s[0]),
         notes=_notes(tables),
         autopilot="ardupilot",
         damage=tuple(damage),
+    )
+
+
+def _before(changes: Series, start_s: float) -> Series:
+    """Changes of a state, with the state before the first: the log begins with arming, after ARM was due."""
+    if not changes or changes.time_s[0] <= start_s:
+        return changes
+    return Series(
+        np.concatenate([[start_s], changes.time_s]),
+        np.concatenate([1.0 - changes.values[:1], changes.values]),
     )
 
 

@@ -86,8 +86,22 @@ def shadow(record: FlightRecord, config: Path | None) -> Shadow:
         position=position,
         response_delays_s=delays,
         loop_delay_s=loop_delay,
-        verdict=verdict(attitude, position, loop_delay if record.commands_sent else None, spread),
+        verdict=_verdict(record, attitude, position, loop_delay, spread),
     )
+
+
+def _verdict(
+    record: FlightRecord,
+    attitude: StreamQuality | None,
+    position: StreamQuality | None,
+    loop_delay: float | None,
+    spread: float,
+) -> Verdict:
+    found = verdict(attitude, position, loop_delay if record.commands_sent else None, spread)
+    if record.source == "tlog":
+        return found
+    note = "the log was written on board: rates are those of the logger, not of a telemetry link"
+    return replace(found, reasons=(*found.reasons, note))
 
 
 def _model(record: FlightRecord, config: Path | None) -> ShadowModel:

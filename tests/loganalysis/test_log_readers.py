@@ -78,6 +78,18 @@ def test_a_file_cut_short_gives_what_came_before_and_says_so(
         assert record.partial
 
 
+def test_a_log_that_begins_after_arming_was_armed_until_it_says_otherwise(
+    log_files: dict[str, Path], tmp_path: Path, flight: Any
+) -> None:
+    data = log_files["dataflash"].read_bytes()
+    arm = data.index(b"\xa3\x95\x85")
+    later = round((flight.time_s[0] + 2.0) * 1e6).to_bytes(8, "little")
+    path = tmp_path / "disarmed.BIN"
+    path.write_bytes(data[:arm] + data[arm + 12 :] + data[arm : arm + 3] + later + b"\x00")
+    armed = read_log(path).armed.held(flight.time_s)[:, 0]
+    assert np.array_equal(armed != 0.0, flight.time_s < flight.time_s[0] + 2.0)
+
+
 @pytest.mark.parametrize("content", [b"", b"hello, world, this is a text file\n" * 9, b"\x00" * 100])
 def test_a_file_of_another_kind_is_refused_in_one_line_that_names_it(content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "notes.BIN"
