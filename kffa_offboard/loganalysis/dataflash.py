@@ -91,15 +91,19 @@ def _format(body: bytes) -> tuple[int, int, _Format] | None:
     return kind, length, _Format(name, dtype, factors)
 
 
+def _bytes(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise UserError(f"cannot read {path}: {error.strerror}; check the path") from error
+
+
 def read(path: Path, names: frozenset[str]) -> DataFlash:
     """Read the messages `names` of a log.
 
     Raises UserError if the file cannot be read or holds no format records.
     """
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise UserError(f"cannot read {path}: {error.strerror}; check the path") from error
+    data = _bytes(path)
     formats: dict[int, _Format] = {}
     lengths: dict[int, int] = {FORMAT_TYPE: FORMAT_LENGTH}
     offsets: dict[int, list[int]] = {}
