@@ -12,7 +12,7 @@ import pytest
 from kffa_offboard.config import Overrides, bundled, load, read_toml
 from kffa_offboard.config_control import ControlTable
 from kffa_offboard.demo.metrics import measure
-from kffa_offboard.flightlog.tlog import TlogWriter
+from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.loganalysis.identify import Identification, identify
 from kffa_offboard.loganalysis.margins import Wanted
 from kffa_offboard.loganalysis.model_file import as_toml, merged, model_tables
@@ -34,7 +34,7 @@ def fly_and_log(monkeypatch: pytest.MonkeyPatch, flight: Any, log: Path, **how: 
     with TlogWriter(log) as writer:
         made = session.Session
         monkeypatch.setattr(
-            f"{type(flight).__module__}.Session", lambda *a, **k: made(*a, recorder=writer, **k)
+            f"{type(flight).__module__}.Session", lambda *a, **k: made(*a, **(k | {"recorder": writer}))
         )
         flight.fly(**how)
 
