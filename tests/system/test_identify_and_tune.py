@@ -12,7 +12,6 @@ import pytest
 from kffa_offboard.config import Overrides, bundled, load, read_toml
 from kffa_offboard.config_control import ControlTable
 from kffa_offboard.demo.metrics import measure
-from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.loganalysis.identify import Identification, identify
 from kffa_offboard.loganalysis.margins import Wanted
 from kffa_offboard.loganalysis.model_file import as_toml, merged, model_tables
@@ -20,23 +19,12 @@ from kffa_offboard.loganalysis.read import read_log
 from kffa_offboard.loganalysis.shadow import shadow
 from kffa_offboard.loganalysis.tune import tune
 from kffa_offboard.loganalysis.tune_command import tuned_tables
-from kffa_offboard.mavlink import session
 from kffa_offboard.offboard.segments import Hold, Step, Takeoff
 from sim_vehicle import config as sim_config
 from sim_vehicle.vehicle import SimulatedVehicle
 
 B0 = 246.0 / 10.0
 LINK_DELAY_S = 0.04  # 20 ms each way, as demo-px4-vehicle.toml has it
-
-
-def fly_and_log(monkeypatch: pytest.MonkeyPatch, flight: Any, log: Path, **how: Any) -> None:
-    """Fly a lock-step flight with a telemetry log of it."""
-    with TlogWriter(log) as writer:
-        made = session.Session
-        monkeypatch.setattr(
-            f"{type(flight).__module__}.Session", lambda *a, **k: made(*a, **(k | {"recorder": writer}))
-        )
-        flight.fly(**how)
 
 
 @pytest.fixture
@@ -53,8 +41,8 @@ def excitation_log(lock_step_flight: Any, tmp_path: Path) -> Iterator[Path]:
     vehicle = {"payload": {"schedule": []}}
     flight.vehicle = SimulatedVehicle(sim_config.load(bundled("demo-px4-vehicle.toml"), vehicle))
     log = tmp_path / "excitation.tlog"
-    with pytest.MonkeyPatch.context() as patcher:
-        fly_and_log(patcher, flight, log, enough=lambda vehicle: vehicle.time_us > 22_000_000)
+    flight.log = log
+    flight.fly(lambda vehicle: vehicle.time_us > 22_000_000)
     yield log
 
 
@@ -77,8 +65,8 @@ def test_the_vehicles_gain_lag_and_delay_are_found_and_tuned_gains_keep_their_wo
         drop_s = vehicle.truth.time_of("drop")
         return drop_s is not None and vehicle.time_us * 1e-6 > drop_s + 5.1
 
-    with pytest.MonkeyPatch.context() as patcher:
-        fly_and_log(patcher, flight, log, enough=enough)
+    flight.log = log
+    flight.fly(enough)
     metrics = measure(flight.truth, 5.0)
     assert metrics.hover_rms_m <= 0.02
     assert metrics.attitude_rms_rad <= 0.02
