@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from kffa_offboard.demo.metrics import measure
 
 from kffa_offboard.config import Overrides, bundled, load, read_toml
 from kffa_offboard.config_control import ControlTable
-from kffa_offboard.demo.metrics import measure
 from kffa_offboard.loganalysis.identify import Identification, identify
 from kffa_offboard.loganalysis.margins import Wanted
 from kffa_offboard.loganalysis.model_file import as_toml, merged, model_tables
