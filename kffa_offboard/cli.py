@@ -21,6 +21,7 @@ USAGE_ERROR = 2
 Controller = Literal["pid", "cascaded-pid", "wb-ladrc", "ladrc", "fa-ladrc", "kffa-ladrc"]
 OutputName = Literal["rates", "attitude"]
 PersonalityName = Literal["px4", "ardupilot"]
+AlignName = Literal["start", "engage", "event"]
 ExampleName = Literal["1", "2", "3", "4", "position"]
 
 app = typer.Typer(
@@ -462,3 +463,36 @@ def tune(
 
     wanted = Wanted(gain_margin_db, phase_margin_deg, delay_margin_ms * 1e-3)
     raise typer.Exit(run_tune(model, wanted, 1.0 / telemetry_hz, out, json))
+
+
+@app.command(
+    epilog=(
+        "Examples:\n\n"
+        "    kffa-offboard report logs/2026-05-01_14-02-11.tlog\n\n"
+        "    kffa-offboard report before.tlog after.tlog --align event --out compare.html\n\n"
+        "    kffa-offboard report flight.tlog --png figures    (PNGs for a paper, too)\n\n"
+        "Exit status: 0 written, 2 wrong usage, no flight log, or one without a flight."
+    )
+)
+def report(
+    logs: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG...", help="Telemetry logs (.tlog, .tlog.gz), laid over one another."),
+    ],
+    out: Annotated[Path, typer.Option(help="The page.")] = Path("report.html"),
+    png: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw figures for papers there.")] = None,
+    align: Annotated[
+        AlignName,
+        typer.Option(
+            help="Time 0 of each flight: start of its log, engaging (else arming), or first pick-up or drop."
+        ),
+    ] = "engage",
+) -> None:
+    """Show flights: one page with tables and interactive plots that needs no network.
+
+    Of logs of `kffa-offboard run`: reference, measurement, estimate, command, disturbance, omega_c, load,
+    latency and events. Of a ground station's logs: what was measured.
+    """
+    from kffa_offboard.report.command import ReportPlan, run_report
+
+    raise typer.Exit(run_report(ReportPlan(tuple(logs), out, png, align)))

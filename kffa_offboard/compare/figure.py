@@ -13,8 +13,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from kffa_offboard.compare.results import Result
+from kffa_offboard.plot_style import BLUE, GREEN, GREY, ORANGE, STYLE, VIOLET
 from kffa_offboard.trials.metrics import WINDOW_S
-from kffa_offboard.trials.style import BLUE, GREEN, GREY, ORANGE, STYLE, VIOLET
 
 _COLOURS = {
     "native-stock": "#222222",

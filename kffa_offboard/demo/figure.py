@@ -6,16 +6,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from kffa_offboard.control.controllers import ALTITUDE, PITCH, ROLL, YAW
 from kffa_offboard.demo.processes import FlightPlan
+from kffa_offboard.plot_style import BLUE, GREEN, GREY, ORANGE, VIOLET, figure_to
 from kffa_offboard.trials.metrics import WINDOW_S, FlightMetrics, Truth
 from kffa_offboard.trials.recording import Recording
-from kffa_offboard.trials.style import BLUE, GREEN, GREY, ORANGE, STYLE, VIOLET
 
 _FLIGHT_COLOURS = (BLUE, ORANGE)
 
@@ -48,9 +45,7 @@ def draw_flight(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> 
     """
     first = flights[0]
     place = first.metrics.place is not None
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 14.5 if place else 12.0), dpi=130, layout="constrained")
-        FigureCanvasAgg(figure)
+    with figure_to(path, (10.0, 14.5 if place else 12.0), dpi=130) as figure:
         panels = figure.subplots(5 + place, 1, sharex=True, height_ratios=[3, *[3] * place, 2, 2, 2, 2])
         axes = [panels[0], *panels[1 + place :]]
         figure.suptitle(_title(first), fontsize=12.5, fontweight="bold")
@@ -66,7 +61,6 @@ def draw_flight(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> 
         _name_events(axes[0], first)
         axes[-1].set_xlabel("time since lift-off [s]")
         axes[-1].set_xlim(-2.0, float(_since_liftoff(first, first.truth.time_s)[-1]))
-        figure.savefig(path)
 
 
 def draw_drop(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> None:
@@ -75,9 +69,7 @@ def draw_drop(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> No
     Where a place is held, its distance stands below.
     """
     place = flights[0].metrics.place is not None
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.0, 7.0 if place else 4.0), dpi=130, layout="constrained")
-        FigureCanvasAgg(figure)
+    with figure_to(path, (10.0, 7.0 if place else 4.0), dpi=130) as figure:
         rows = figure.subplots(1 + place, 2, sharex=True, sharey="row", squeeze=False)
         axes = rows[0]
         load = float(flights[0].truth.load_mass_kg.max())
@@ -99,7 +91,6 @@ def draw_drop(path: Path, flights: Sequence[DrawnFlight], target_m: float) -> No
             _draw_distance(rows[1], flights)
         for axis in rows[-1]:
             axis.set_xlabel("time since then [s]")
-        figure.savefig(path)
 
 
 def _draw_distance(axes: Any, flights: Sequence[DrawnFlight]) -> None:

@@ -7,25 +7,22 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from kffa_offboard.control import Array
 from kffa_offboard.control.controllers import ALTITUDE, PITCH, ROLL, YAW
 from kffa_offboard.experiments.examples import Example, Traces
 from kffa_offboard.experiments.flights import STEP_S
 from kffa_offboard.experiments.settings import PaperSettings
+from kffa_offboard.plot_style import BLUE, GREEN, GREY, ORANGE, RED, VIOLET, figure_to
 
-GREY = "#7a7a7a"
 COLOURS = {
-    "pid": "#8450a0",
-    "cascaded-pid": "#8450a0",
-    "wb-ladrc": "#2e8b57",
-    "ladrc": "#d9731a",
-    "fa-ladrc": "#1f5fa8",
-    "kffa-ladrc": "#c0233b",
+    "pid": VIOLET,
+    "cascaded-pid": VIOLET,
+    "wb-ladrc": GREEN,
+    "ladrc": ORANGE,
+    "fa-ladrc": BLUE,
+    "kffa-ladrc": RED,
 }
 #: Panels of the paper's figures: a height, b roll, c pitch, d yaw.
 PANELS = (
@@ -34,23 +31,7 @@ PANELS = (
     (PITCH, "(c) Pitch", "δ [rad]"),
     (YAW, "(d) Yaw", "η [rad]"),
 )
-STYLE: Any = {
-    "font.family": "sans-serif",
-    "font.size": 10.0,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.edgecolor": "#555555",
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.titlelocation": "left",
-    "axes.titlesize": 10.5,
-    "axes.titleweight": "bold",
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "legend.fontsize": 9.5,
-    "lines.linewidth": 1.5,
-}
+_CHANGES: Any = {"axes.axisbelow": True, "legend.fontsize": 9.5, "lines.linewidth": 1.5}
 
 
 @dataclass(frozen=True)
@@ -82,12 +63,9 @@ def draw(directory: Path, example: Example, about: About, paint: Callable[[Any],
     """Draw one figure: `paint` is given the empty matplotlib figure."""
     name, title, caption, size = about
     directory.mkdir(parents=True, exist_ok=True)
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=size, dpi=110, layout="constrained")
-        FigureCanvasAgg(figure)
+    path = directory / f"{name}.png"
+    with figure_to(path, size, 110, _CHANGES, {"Software": None}) as figure:
         paint(figure)
-        path = directory / f"{name}.png"
-        figure.savefig(path, metadata={"Software": None})
     return Drawn(example, path, title, caption)
 
 
@@ -314,8 +292,8 @@ def _draw_filters(figure: Any, settings: PaperSettings, traces: Traces) -> None:
         constant.append(1000.0 * float(np.mean([abs(error.mean()) for error in errors])))
         fluctuating.append(1000.0 * float(np.mean([error.std() for error in errors])))
     places = np.arange(len(names))
-    axis.bar(places - 0.2, constant, 0.38, color="#c0233b", label="constant part")
-    axis.bar(places + 0.2, fluctuating, 0.38, color="#1f5fa8", label="fluctuating part (standard deviation)")
+    axis.bar(places - 0.2, constant, 0.38, color=RED, label="constant part")
+    axis.bar(places + 0.2, fluctuating, 0.38, color=BLUE, label="fluctuating part (standard deviation)")
     axis.set_xticks(places, list(names.values()), fontsize=8.5)
     axis.grid(visible=False, axis="x")
     axis.set_ylabel("true roll error [mrad]")

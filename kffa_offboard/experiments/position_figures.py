@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 
 from kffa_offboard.experiments.examples import POSITION
-from kffa_offboard.experiments.figures import GREY, About, Drawn, draw, legend_above, plot
+from kffa_offboard.experiments.figures import About, Drawn, draw, legend_above, plot
 from kffa_offboard.experiments.position_flights import CORNERS, PositionTrace, PositionTraces
 from kffa_offboard.experiments.settings import PaperSettings, PositionRing
+from kffa_offboard.plot_style import GREY
 from kffa_offboard.trials.metrics import distance_from_path
 
 SHOWN_SEED = 0

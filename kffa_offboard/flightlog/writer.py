@@ -7,7 +7,7 @@ import os
 import queue
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -31,8 +31,19 @@ QUEUE_SIZE = 100_000
 
 
 def part_path(path: Path, part: int) -> Path:
-    """File of a part of a flight: FLIGHT.tlog, FLIGHT-2.tlog, FLIGHT-3.tlog, ..."""
-    return path if part == 1 else path.with_stem(f"{path.stem}-{part}")
+    """File of a part of a flight: FLIGHT.tlog, FLIGHT-2.tlog, FLIGHT-3.tlog, ... (or .tlog.gz)."""
+    if part == 1:
+        return path
+    ending = "".join(suffix for suffix in path.suffixes[-2:] if suffix in (".tlog", ".gz")) or path.suffix
+    return path.with_name(f"{path.name.removesuffix(ending)}-{part}{ending}")
+
+
+def following_parts(path: Path) -> Iterator[Path]:
+    """The further files of a flight that are there, in order."""
+    part = 2
+    while (following := part_path(path, part)).is_file():
+        yield following
+        part += 1
 
 
 class TlogWriter:

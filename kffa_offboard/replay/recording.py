@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -13,7 +12,7 @@ from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.notes import End, Header, Note, NoteReader, Request, is_note
 from kffa_offboard.flightlog.signals import is_signals
 from kffa_offboard.flightlog.tlog import read_tlog
-from kffa_offboard.flightlog.writer import part_path
+from kffa_offboard.flightlog.writer import following_parts
 
 Incoming: TypeAlias = tuple[int, Any]
 """Time [us] and a received message, or a request of the daemon's own process."""
@@ -54,7 +53,7 @@ def read_recording(path: Path) -> Recording:
     Raises UserError if the file cannot be read, is no telemetry log, or was not written by this program.
     """
     reader = _Reader(path)
-    for part in _parts(path):
+    for part in (path, *following_parts(path)):
         log = read_tlog(part)
         try:
             for time_us, frame in log.frames():
@@ -62,14 +61,6 @@ def read_recording(path: Path) -> Recording:
         except ValueError as problem:
             raise UserError(f"flight log {part}: {problem}; it cannot be replayed") from problem
     return reader.recording()
-
-
-def _parts(path: Path) -> Iterator[Path]:
-    yield path
-    part = 2
-    while (following := part_path(path, part)).is_file():
-        yield following
-        part += 1
 
 
 class _Reader:

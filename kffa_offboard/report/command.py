@@ -1,0 +1,77 @@
+"""The command `kffa-offboard report`."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.writer import following_parts
+from kffa_offboard.report.align import Alignment
+from kffa_offboard.report.flight import Flight
+from kffa_offboard.report.read import read_flight, short_name
+
+
+@dataclass(frozen=True)
+class ReportPlan:
+    """What `kffa-offboard report` was asked for; `png` None draws no figures."""
+
+    logs: tuple[Path, ...]
+    out: Path
+    png: Path | None = None
+    align: Alignment = "engage"
+
+
+def run_report(plan: ReportPlan) -> int:
+    """Write the page, and the figures if asked for. Returns 0.
+
+    Raises UserError for a log that cannot be read or has no flight in it, and for a file that cannot be
+    written.
+    """
+    if any(plan.out.resolve() == log.resolve() for log in plan.logs):
+        raise UserError(f"--out {plan.out} is one of the logs; name another file")
+    logs = without_parts(plan.logs)
+    flights = [read_flight(log, name) for log, name in zip(logs, distinct_names(logs), strict=True)]
+    from kffa_offboard.report.page import render
+
+    page = render(flights, plan.align)
+    try:
+        plan.out.parent.mkdir(parents=True, exist_ok=True)
+        plan.out.write_text(page, encoding="utf-8")
+        drawn = _draw(plan.png, flights, plan.align)
+    except OSError as error:
+        raise UserError(f"cannot write {error.filename}: {error.strerror}; choose another place") from error
+    for flight in flights:
+        for remark in flight.remarks:
+            print(f"{flight.name}: {remark}")
+    print(f"{plan.out}: {plan.out.stat().st_size / 1e6:.1f} MB, {_count(len(flights), 'flight')}")
+    for path in drawn:
+        print(path)
+    return 0
+
+
+def _draw(directory: Path | None, flights: Sequence[Flight], alignment: Alignment) -> list[Path]:
+    if directory is None:
+        return []
+    from kffa_offboard.report.figures import draw_figures
+
+    return draw_figures(directory, flights, alignment)
+
+
+def without_parts(logs: Sequence[Path]) -> list[Path]:
+    """The logs without repetitions and without further parts (FLIGHT-2.tlog) of another one among them."""
+    parts = {part.resolve() for log in logs for part in following_parts(log)}
+    unique = {log.resolve(): log for log in reversed(logs)}
+    return [log for log in logs if unique.get(log.resolve()) is log and log.resolve() not in parts]
+
+
+def distinct_names(logs: Sequence[Path]) -> list[str]:
+    """Names of the flights: those of the files; with their directories where files are called alike."""
+    counts = Counter(short_name(log) for log in logs)
+    return [name if counts[name := short_name(log)] == 1 else str(log.with_name(name)) for log in logs]
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
