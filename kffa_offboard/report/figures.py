@@ -7,6 +7,8 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from kffa_offboard.plot_style import GREY, figure_to
 from kffa_offboard.report.align import Alignment, zero_of
 from kffa_offboard.report.flight import Flight
@@ -53,9 +55,10 @@ def _draw_panel(axis: Any, panel: Panel, flights: Sequence[Flight]) -> None:
         name = " ".join(part for part in ("" if alone else flights[curve.flight].name, curve.signal) if part)
         style = _STYLES.get(curve.signal, {})
         axis.plot(curve.line.time_s, curve.line.values, color=colour, label=name or None, **style)
-        if curve.spread is not None and len(curve.spread) == len(curve.line):
-            low, high = (curve.line.values + sign * 2.0 * curve.spread.values for sign in (-1.0, 1.0))
-            axis.fill_between(curve.line.time_s, low, high, color=colour, alpha=0.25, linewidth=0.0)
+        if curve.spread is not None:
+            time_s, mass = curve.line.time_s, curve.line.values
+            half = 2.0 * np.interp(time_s, curve.spread.time_s, curve.spread.values)
+            axis.fill_between(time_s, mass - half, mass + half, color=colour, alpha=0.25, linewidth=0.0)
     axis.set_title(panel.title)
     axis.set_ylabel(panel.unit)
 

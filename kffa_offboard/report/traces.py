@@ -151,7 +151,7 @@ def _markers(number: int, flight: Flight, zero_s: float, alone: bool) -> Any:
         yaxis="y2",
         mode="lines+markers",
         line={"color": GREY if alone else flight_colour(number), "width": 1, "dash": "dot"},
-        marker={"size": np.tile([7, 0, 0], count), "opacity": 1.0, "symbol": "triangle-up"},
+        marker={"size": np.tile([7, 0, 0], count), "symbol": "triangle-up", "line": {"width": 0}},
         name="" if alone else _hover(flight.name),
         text=texts,
         hovertemplate="%{text}",
