@@ -97,12 +97,17 @@ def judge(flight: Flight) -> Metrics:
 
 
 def tracking_error(flight: Flight, channel: Channel, actual: Quantity = "measured") -> Line | None:
-    """Reference less measurement (or estimate), yaw the short way round; None if the log has no reference."""
+    """Reference less measurement (or estimate), yaw the short way round; None if the log does not have both."""
     reference = flight.lines.get(("reference", channel))
     measured = flight.lines.get((actual, channel))
     if reference is None or measured is None:
         return None
-    error = reference.values - np.interp(reference.time_s, measured.time_s, measured.values, nan, nan)
+    known = np.isfinite(measured.values)
+    if not known.any():
+        return None
+    values = measured.values[known]
+    values = np.unwrap(values) if channel == "yaw" else values
+    error = reference.values - np.interp(reference.time_s, measured.time_s[known], values, nan, nan)
     if channel == "yaw":
         error = (error + np.pi) % (2.0 * np.pi) - np.pi
     return Line(reference.time_s, error)

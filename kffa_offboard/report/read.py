@@ -219,8 +219,8 @@ def _flight(collector: _Collector, path: Path, name: str) -> Flight:
     begin_us, header = collector.first_us or 0, collector.header
     table = signals.table(collector.full or collector.live)
     lines = signal_lines(table, begin_us)
-    if not lines:
-        lines = dict(_measured(collector, begin_us))
+    if not collector.full:  # what was sent live is thinned; telemetry is whole
+        lines |= dict(_measured(collector, begin_us))
     states, engaged = state_events(table, begin_us)
     others = [_at(event, time_us, begin_us) for time_us, event in collector.events]
     latency = _clean(line(_since(table.time_us, begin_us), table.latency_s))

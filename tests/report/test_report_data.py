@@ -2,6 +2,7 @@
 
 import gzip
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,8 @@ from kffa_offboard.report.metrics import judge, stream_metrics
 from kffa_offboard.report.panels import panels
 from kffa_offboard.report.read import own_text, read_flight
 from kffa_offboard.report.thinning import thinned, with_gaps, without_turns
+
+GOLDEN = Path(__file__).parents[1] / "golden" / "flights"
 
 
 def test_tracking_error_while_engaged_is_reference_less_measurement_yaw_the_short_way(write_log, tmp_path):
@@ -143,6 +146,18 @@ def test_a_log_without_inner_signals_shows_what_was_measured(write_log, tmp_path
     assert flight.lines["measured", "roll"].values[0] == pytest.approx(0.1)
     assert any("no inner signals" in remark for remark in flight.remarks)
     assert math.isnan(judge(flight).tracking_rms["altitude"])
+
+
+def test_signals_sent_live_are_shown_beside_the_whole_telemetry():
+    flight = read_flight(GOLDEN / "px4-drop.tlog.gz")
+    live, whole = (len(flight.lines[quantity, "roll"]) for quantity in ("reference", "measured"))
+
+    assert whole == pytest.approx(10 * live, rel=0.02)
+    assert any("sent live, thinned" in remark for remark in flight.remarks)
+    assert [event.text for event in flight.events if event.kind == "load"] == [
+        "picked up 5.0 kg",
+        "dropped 5.0 kg",
+    ]
 
 
 def test_logs_without_a_flight_are_refused_in_one_line(write_log, tmp_path):
