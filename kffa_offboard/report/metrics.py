@@ -97,7 +97,7 @@ def judge(flight: Flight) -> Metrics:
 
 
 def tracking_error(flight: Flight, channel: Channel, actual: Quantity = "measured") -> Line | None:
-    """Reference less measurement (or estimate), yaw the short way round; None if the log does not have both."""
+    """Reference less measurement (or estimate), yaw the short way round; None if either is missing."""
     reference = flight.lines.get(("reference", channel))
     measured = flight.lines.get((actual, channel))
     if reference is None or measured is None:

@@ -74,7 +74,7 @@ class _Collector:
     remarks: list[str] = field(default_factory=list)
     _notes: NoteReader = field(default_factory=NoteReader)
     _vehicle: Vehicle | None = None
-    _system: int | None = None
+    _own: tuple[int, int] | None = None
     _mode: str = ""
     _armed: bool | None = None
 
@@ -91,12 +91,19 @@ class _Collector:
         elif kind == "DEBUG_FLOAT_ARRAY":
             if message.name == signals.NAME and message.array_id in (signals.ARRAY_ID, signals.LIVE_ARRAY_ID):
                 (self.full if message.array_id == signals.ARRAY_ID else self.live).append(message)
-        elif message.get_srcComponent() == _OWN_COMPONENT:
+        elif self._is_own(message):
             self._take_own(time_us, message)
         else:
             self._take_telemetry(time_us, message)
 
+    def _is_own(self, message: Any) -> bool:
+        """Sent by the daemon: whoever wrote the header, else a component with the daemon's usual number."""
+        if self._own is None:
+            return bool(message.get_srcComponent() == _OWN_COMPONENT)
+        return (message.get_srcSystem(), message.get_srcComponent()) == self._own
+
     def _take_note(self, message: Any) -> None:
+        self._own = (message.get_srcSystem(), message.get_srcComponent())
         try:
             note = self._notes.take(message)
         except ValueError as problem:
@@ -140,9 +147,8 @@ class _Collector:
             return False
         if message.type not in MULTIROTORS:
             return False
-        self._system = message.get_srcSystem()
         self._vehicle = Vehicle(
-            Route(target_system=self._system, target_component=message.get_srcComponent())
+            Route(target_system=message.get_srcSystem(), target_component=message.get_srcComponent())
         )
         return True
 
