@@ -477,7 +477,7 @@ def tune(
 def report(
     logs: Annotated[
         list[Path],
-        typer.Argument(metavar="LOG...", help="Telemetry logs (.tlog, .tlog.gz), laid over one another."),
+        typer.Argument(metavar="LOG...", help="Flights (.tlog, .BIN, .ulg), laid over one another."),
     ],
     out: Annotated[Path, typer.Option(help="The page.")] = Path("report.html"),
     png: Annotated[Path | None, typer.Option(metavar="DIR", help="Draw figures for papers there.")] = None,
@@ -491,7 +491,7 @@ def report(
     """Show flights: one page with tables and interactive plots that needs no network.
 
     Of logs of `kffa-offboard run`: reference, measurement, estimate, command, disturbance, omega_c, load,
-    latency and events. Of a ground station's logs: what was measured.
+    latency and events. Of logs of a ground station or of the autopilot: what they hold.
     """
     from kffa_offboard.report.command import ReportPlan, run_report
 

@@ -11,7 +11,7 @@ from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.writer import following_parts
 from kffa_offboard.report.align import Alignment
 from kffa_offboard.report.flight import Flight
-from kffa_offboard.report.read import read_flight, short_name
+from kffa_offboard.report.read import read_any, short_name
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ def run_report(plan: ReportPlan) -> int:
     if any(plan.out.resolve() == log.resolve() for log in plan.logs):
         raise UserError(f"--out {plan.out} is one of the logs; name another file")
     logs = without_parts(plan.logs)
-    flights = [read_flight(log, name) for log, name in zip(logs, distinct_names(logs), strict=True)]
+    flights = [read_any(log, name) for log, name in zip(logs, distinct_names(logs), strict=True)]
     from kffa_offboard.report.page import render
 
     page = render(flights, plan.align)

@@ -16,6 +16,8 @@ from kffa_offboard.flightlog import signals
 from kffa_offboard.flightlog.notes import End, Header, NoteReader, is_note
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.flightlog.writer import following_parts
+from kffa_offboard.loganalysis import dataflash
+from kffa_offboard.loganalysis.read import ULOG_MAGIC
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.vehicle import MULTIROTORS, Vehicle
 from kffa_offboard.offboard.events import (
@@ -40,6 +42,7 @@ _WANTED = frozenset(
 )
 _MARKER_V2 = 0xFD
 _AUTOPILOTS = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
+_ONBOARD = (ULOG_MAGIC, dataflash.HEADER)
 _OWN_COMPONENT = Route().own_component
 _LOAD_TEXT = re.compile(r"(picked up|dropped) (\d+(?:\.\d+)?) kg")
 
@@ -174,6 +177,23 @@ def own_text(text: str) -> FlightEvent:
     return FlightEvent(0.0, "load", text, mass)
 
 
+def read_any(path: Path, name: str) -> Flight:
+    """Read a telemetry log, or a log written on board (.BIN, .ulg): its first bytes tell.
+
+    Raises UserError as `read_flight` and `from_record.read_onboard`.
+    """
+    try:
+        with path.open("rb") as file:
+            onboard = file.read(4).startswith(_ONBOARD)
+    except OSError as error:
+        raise UserError(f"cannot read flight log {path}: {error.strerror}; check the path") from error
+    if not onboard:
+        return read_flight(path, name)
+    from kffa_offboard.report.from_record import read_onboard
+
+    return read_onboard(path, name)
+
+
 def read_flight(path: Path, name: str | None = None) -> Flight:
     """Read a telemetry log (.tlog, .tlog.gz) and its further parts (FLIGHT-2.tlog, ...).
 
@@ -194,8 +214,8 @@ def read_flight(path: Path, name: str | None = None) -> Flight:
 
 
 def short_name(path: Path) -> str:
-    """File name without .tlog or .tlog.gz."""
-    return path.name.removesuffix(".gz").removesuffix(".tlog")
+    """File name without .tlog, .tlog.gz, .BIN or .ulg."""
+    return re.sub(r"(\.tlog(\.gz)?|\.bin|\.ulg)$", "", path.name, flags=re.IGNORECASE)
 
 
 def _read_part(path: Path, collector: _Collector) -> None:

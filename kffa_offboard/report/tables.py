@@ -125,6 +125,8 @@ def _tracking(channel: Channel, rms: float) -> str:
 
 
 def _begun(start_us: int) -> str:
+    if not start_us:
+        return NOTHING
     if start_us < _YEAR_2000_US:
         return f"{start_us / 1e6:.1f} s of simulated time"
     return datetime.fromtimestamp(start_us / 1e6, UTC).strftime("%Y-%m-%d %H:%M:%S UTC")

@@ -13,7 +13,7 @@ from kffa_offboard.report.command import distinct_names, without_parts
 from kffa_offboard.report.flight import Flight, FlightEvent, Line, Origin
 from kffa_offboard.report.metrics import judge, stream_metrics
 from kffa_offboard.report.panels import panels
-from kffa_offboard.report.read import own_text, read_flight
+from kffa_offboard.report.read import own_text, read_any, read_flight
 from kffa_offboard.report.thinning import thinned, with_gaps, without_turns
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "flights"
@@ -224,3 +224,20 @@ def test_yaw_that_turns_past_half_a_circle_is_not_joined_across_the_plot():
 
     assert np.isnan(found.values).tolist() == [False, True, False, False]
     assert found.values[2] == pytest.approx(3.2 - 2.0 * math.pi)
+
+
+def test_a_log_of_the_autopilots_own_shows_set_points_estimates_and_the_load():
+    flight = read_any(Path(__file__).parents[1] / "data" / "arducopter-pickup-drop.BIN", "copter")
+    pickup, drop = (event for event in flight.events if event.kind == "load")
+
+    assert pickup.text.startswith("pick-up of 5")
+    assert drop.time_s - pickup.time_s == pytest.approx(10.0, abs=0.3)
+    quantities = {quantity for quantity, channel in flight.lines if channel == "altitude"}
+    assert quantities == {"measured", "estimate", "command", "disturbance"}
+    assert any("written on board" in remark for remark in flight.remarks)
+    assert zero_of(flight, "event").time_s == pickup.time_s
+
+
+def test_a_missing_log_is_one_line(tmp_path):
+    with pytest.raises(UserError, match=r"cannot read flight log .*none\.tlog: No such file"):
+        read_any(tmp_path / "none.tlog", "none")
