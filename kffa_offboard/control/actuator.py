@@ -8,19 +8,26 @@ or of the autopilot's inner loop. No counterpart in the paper, whose actuators a
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from kffa_offboard.control import Array, column
+from kffa_offboard.control.memory import remember
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ActuatorParameters:
     """Delay and lag of each channel, ``(4,)`` or ``(4, N)``, both in s; zero is an ideal actuator."""
 
     delay: Array
     lag: Array
+
+    @cached_property
+    def longest_delay(self) -> float:
+        """Of all channels (and flights), s."""
+        return float(np.max(self.delay))
 
 
 @dataclass(frozen=True)
@@ -49,41 +56,57 @@ def initial_state(command: Array) -> ActuatorState:
 def send(state: ActuatorState, command: Array) -> ActuatorState:
     """Put a command in the queue at this moment; one sent at the same moment is replaced."""
     if state.ages[-1] == 0.0:
-        return replace(state, commands=(*state.commands[:-1], command))
-    return replace(state, ages=(*state.ages, 0.0), commands=(*state.commands, command))
+        return ActuatorState(state.ages, (*state.commands[:-1], command), state.lagged)
+    return ActuatorState((*state.ages, 0.0), (*state.commands, command), state.lagged)
 
 
-def _mean_acting(
-    parameters: ActuatorParameters, ages: tuple[float, ...], state: ActuatorState, dt: Array
-) -> tuple[Array, Array]:
-    """Mean of delayed, lagged command over the `dt` that ends where the queue has `ages`, and the lag's end.
+@remember
+def _window(
+    parameters: ActuatorParameters, ages: tuple[float, ...], ahead: Array, dt: float | Array, axes: int
+) -> tuple[Array, Array, Array]:
+    """What the `dt` that ends `ahead` s after the moment of `ages` makes of queued commands and lag.
+
+    Returns
+    -------
+    shares : (K, 4[, N]), how long each of the K commands acted, over `dt`
+    held : share of the lag's first transient in the mean of its output
+    decay : the same at the end
+    """
+    like = np.empty((1,) * axes)
+    delay, lag = column(parameters.delay, like) - column(ahead, like), column(parameters.lag, like)
+    dt = column(dt, like)
+    # A command acted from (age - delay) ago until the next one took over.
+    since = np.stack([np.clip(age - delay, 0.0, dt) for age in ages])
+    until = np.concatenate([since[1:], np.zeros_like(since[:1])])
+    lagging = lag > 0.0
+    safe_lag = np.where(lagging, lag, 1.0)
+    decay = np.where(lagging, np.exp(-dt / safe_lag), 0.0)
+    held = np.where(lagging, safe_lag / dt * (1.0 - decay), 0.0)
+    return (since - until) / dt, held, decay
+
+
+def _mean_acting(state: ActuatorState, window: tuple[Array, Array, Array]) -> tuple[Array, Array]:
+    """Mean of delayed, lagged command over a window, and the lag's end.
 
     The mean of the delayed piecewise-constant command is exact; the lag is applied to that mean as to
     a constant, exactly.
     """
-    delay = column(parameters.delay, state.lagged)
-    total = np.zeros_like(state.lagged)
-    for k, command in enumerate(state.commands):
-        # The command acted from (age - delay) ago until the next one took over.
-        since = np.clip(ages[k] - delay, 0.0, dt)
-        until = np.clip(ages[k + 1] - delay, 0.0, dt) if k + 1 < len(ages) else 0.0
-        total = total + (since - until) * command
-    mean = total / dt
-    lag = column(parameters.lag, state.lagged)
-    lagging = lag > 0.0
-    safe_lag = np.where(lagging, lag, 1.0)
-    decay = np.where(lagging, np.exp(-dt / safe_lag), 0.0)
+    shares, held, decay = window
+    mean = np.add.reduce(shares * np.array(state.commands))
     transient = state.lagged - mean
-    averaged = mean + np.where(lagging, safe_lag / dt * (1.0 - decay), 0.0) * transient
-    return averaged, mean + decay * transient
+    return mean + held * transient, mean + decay * transient
+
+
+_NOW = np.zeros(())
 
 
 def step(parameters: ActuatorParameters, state: ActuatorState, dt: float) -> tuple[ActuatorState, Array]:
     """Advance by `dt` s and return the mean command ``(4[, N])`` that acted in that time."""
-    ages = tuple(age + dt for age in state.ages)
-    averaged, lagged = _mean_acting(parameters, ages, state, np.asarray(dt))
-    longest = float(np.max(parameters.delay))
-    keep = next((k for k in range(len(ages) - 1) if ages[k + 1] < longest), len(ages) - 1)
+    ages = tuple([age + dt for age in state.ages])
+    averaged, lagged = _mean_acting(state, _window(parameters, ages, _NOW, dt, state.lagged.ndim))
+    keep = 0
+    while keep + 1 < len(ages) and ages[keep + 1] >= parameters.longest_delay:
+        keep += 1
     return ActuatorState((np.inf, *ages[keep + 1 :]), state.commands[keep:], lagged), averaged
 
 
@@ -92,8 +115,5 @@ def forecast(parameters: ActuatorParameters, state: ActuatorState, horizon: Arra
 
     `horizon` is per channel and must be more than 0.
     """
-    ahead = column(horizon, state.lagged)
-    delay = column(parameters.delay, state.lagged)
-    # A shift of the delay by the horizon looks that far ahead in the same queue.
-    shifted = replace(parameters, delay=delay - ahead)
-    return _mean_acting(shifted, state.ages, state, ahead)[0]
+    window = _window(parameters, state.ages, horizon, horizon, state.lagged.ndim)
+    return _mean_acting(state, window)[0]

@@ -25,6 +25,7 @@ import numpy as np
 
 from kffa_offboard.control import Array, BoolArray, actuator, column, fuzzy, kalman, ladrc, observer, pid
 from kffa_offboard.control import tracking_differentiator as td
+from kffa_offboard.control.memory import remember
 
 CHANNELS = ("roll", "pitch", "yaw", "altitude")
 ROLL, PITCH, YAW, ALTITUDE = range(4)
@@ -35,7 +36,7 @@ ControllerName = Literal["pid", "cascaded-pid", "wb-ladrc", "ladrc", "fa-ladrc",
 NAMES: tuple[ControllerName, ...] = ("pid", "cascaded-pid", "wb-ladrc", "ladrc", "fa-ladrc", "kffa-ladrc")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Limits:
     """Bounds of each channel's command and of its change per second; each ``(4,)`` or ``(4, N)``."""
 
@@ -44,7 +45,7 @@ class Limits:
     rate: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ControllerParameters:
     """One controller: the blocks that it has (None where it has none) and what they share.
 
@@ -134,9 +135,14 @@ class ControllerOutput:
 
 def wrap_near(angle: Array, near: Array, angular: BoolArray) -> Array:
     """Take that turn of `angle` which is nearest to `near`; channels that are no angles pass."""
-    turns = np.round((angle - near) / (2.0 * np.pi))
-    mask = angular.reshape(angular.shape + (1,) * (angle.ndim - 1))
-    return np.where(mask, angle - 2.0 * np.pi * turns, angle)
+    (period,) = _periods(angular, angle.ndim)
+    return np.asarray(angle - period * np.rint((angle - near) / (2.0 * np.pi)))
+
+
+@remember
+def _periods(angular: BoolArray, axes: int) -> tuple[Array]:
+    """2 pi for angles, 0 for what does not wrap, to go with arrays of so many axes."""
+    return (column(2.0 * np.pi * angular, np.empty((1,) * axes)),)
 
 
 def initial_state(parameters: ControllerParameters, measurement: Array, command: Array) -> ControllerState:
@@ -180,7 +186,14 @@ def with_applied(parameters: ControllerParameters, state: ControllerState, comma
     For a guard that changed the command after `step`, and for shadow flight, where the autopilot's own
     command acts. It replaces the one that `step` noted.
     """
-    return replace(state, actuator=actuator.send(state.actuator, command))
+    return ControllerState(
+        state.differentiator,
+        state.observer,
+        actuator.send(state.actuator, command),
+        state.pid,
+        state.kalman,
+        state.expected,
+    )
 
 
 def with_disturbance_step(
@@ -209,40 +222,39 @@ def lead(parameters: ControllerParameters) -> Array:
 
 
 def _advance_expected(
-    parameters: ControllerParameters, state: ControllerState, dt: float
-) -> tuple[ControllerState, Array | float]:
+    parameters: ControllerParameters, state: ControllerState, acted: Array, dt: float
+) -> tuple[ControllerState, Array]:
     """Let the expected step come nearer, or come.
 
-    Returns the state and what must be added to the command that acted: if the step came within these `dt` s,
-    the part before it still had the old disturbance.
+    Returns the state and the command that `acted`, corrected: if the step came within these `dt` s, the part
+    before it still had the old disturbance.
     """
     expected = state.expected
     if expected is None:
-        return state, 0.0
+        return state, acted
     if expected.after > dt:
-        return replace(state, expected=replace(expected, after=expected.after - dt)), 0.0
+        return replace(state, expected=replace(expected, after=expected.after - dt)), acted
     early = expected.after / dt * expected.step / column(parameters.model.b0, expected.step)
-    return with_disturbance_step(parameters, state, expected.step), -early
+    return with_disturbance_step(parameters, state, expected.step), acted - early
 
 
 def _limit(limits: Limits, command: Array, previous: Array, dt: float) -> Array:
     """Bound the command and its change since `previous`; bounds win over the change."""
     change = column(limits.rate, command) * dt
-    slewed = np.clip(command, previous - change, previous + change)
-    return np.clip(slewed, column(limits.lower, command), column(limits.upper, command))
+    slewed = np.minimum(np.maximum(command, previous - change), previous + change)
+    lower, upper = column(limits.lower, command), column(limits.upper, command)
+    return np.asarray(np.minimum(np.maximum(slewed, lower), upper))
 
 
 def _estimate(
     parameters: ControllerParameters, state: ControllerState, inputs: ControllerInput, dt: float
 ) -> ControllerState:
     """Command queue, Kalman filter and observer: everything that runs in shadow, too."""
-    angular = parameters.angular
     queue, acted = actuator.step(parameters.actuator, state.actuator, dt)
-    state, correction = _advance_expected(parameters, state, dt)
-    acted = acted + correction
+    state, acted = _advance_expected(parameters, state, acted, dt)
     predicted = observer.predict(parameters.model, state.observer, acted, dt)
     measurement = np.where(inputs.fresh, inputs.measurement, predicted.estimate)
-    measurement = wrap_near(measurement, predicted.estimate, angular)
+    measurement = wrap_near(measurement, predicted.estimate, parameters.angular)
     filter_state = state.kalman
     filtered = measurement
     if parameters.kalman is not None and state.kalman is not None:
@@ -265,7 +277,9 @@ def _estimate(
     else:
         assert parameters.observer is not None
         estimates = observer.correct(parameters.observer, parameters.model, predicted, filtered, inputs.fresh)
-    return replace(state, observer=estimates, actuator=queue, kalman=filter_state, pid=baseline)
+    return ControllerState(
+        state.differentiator, estimates, queue, baseline, filter_state, expected=state.expected
+    )
 
 
 def _track(
@@ -292,19 +306,18 @@ def step(
         raise ValueError(f"control step of {dt} s: dt must be positive; give each sample once, in order")
     state = _estimate(parameters, state, inputs, dt)
     tracked = _track(parameters, state, inputs.reference, dt)
-    state = replace(state, differentiator=tracked)
-    previous = state.actuator.commands[-1]
+    baseline, previous = state.pid, state.actuator.commands[-1]
     if parameters.pid is not None:
-        unlimited = pid.command(parameters.pid, state.pid, tracked.position)
+        unlimited = pid.command(parameters.pid, baseline, tracked.position)
         command = _limit(parameters.limits, unlimited, previous, dt)
         excess = unlimited - command
-        integrated = pid.integrate(parameters.pid, state.pid, tracked.position, excess, dt)
-        state = replace(state, pid=integrated)
+        baseline = pid.integrate(parameters.pid, baseline, tracked.position, excess, dt)
         omega_c = np.zeros_like(command)
     else:
-        unlimited, omega_c = _adrc_command(parameters, state)
+        unlimited, omega_c = _adrc_command(parameters, state, tracked)
         command = _limit(parameters.limits, unlimited, previous, dt)
-    state = replace(state, actuator=actuator.send(state.actuator, command))
+    queue = actuator.send(state.actuator, command)
+    state = ControllerState(tracked, state.observer, queue, baseline, state.kalman, state.expected)
     return state, ControllerOutput(
         command=command,
         reference=tracked.position,
@@ -337,12 +350,14 @@ def _ahead(parameters: ControllerParameters, state: ControllerState) -> observer
     return replace(ahead, disturbance=ahead.disturbance + np.where(met, expected.step, 0.0))
 
 
-def _adrc_command(parameters: ControllerParameters, state: ControllerState) -> tuple[Array, Array]:
+def _adrc_command(
+    parameters: ControllerParameters, state: ControllerState, tracked: td.TrackingDifferentiatorState
+) -> tuple[Array, Array]:
     """Unlimited command and the momentary omega_c of the four LADRC controllers."""
-    law, tracked = parameters.law, state.differentiator
+    law = parameters.law
     assert law is not None
     estimates = _ahead(parameters, state)
-    omega_c = np.broadcast_to(column(law.omega_c, estimates.estimate), estimates.estimate.shape)
+    omega_c = np.zeros_like(estimates.estimate) + column(law.omega_c, estimates.estimate)
     if parameters.fuzzy is not None:
         omega_c = omega_c + fuzzy.bandwidth_correction(
             parameters.fuzzy, estimates.estimate - tracked.position, estimates.rate - tracked.rate

@@ -20,6 +20,7 @@ from typing import Literal
 import numpy as np
 
 from kffa_offboard.control import Array, column
+from kffa_offboard.control.memory import remember
 
 UNIVERSE = 4.0  # the basic domain of e, its rate and the correction is -4..4 (paper, below eq 42)
 SETS = 7  # NB NM NS ZO PS PM PB, centres evenly spaced over the universe
@@ -62,7 +63,7 @@ RuleBase = Literal["published", "even"]
 TABLES: dict[RuleBase, Array] = {"published": PUBLISHED, "even": EVEN}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FuzzyParameters:
     """Scaling of the rule base; each entry ``(4,)`` or ``(4, N)``.
 
@@ -88,20 +89,36 @@ def infer(table: Array, e: Array, ec: Array) -> Array:
     table : (7, 7) rule consequents, rows e, columns its rate
     e, ec : (4[, N]) normalised error and error rate
     """
-    spacing = 2.0 * UNIVERSE / (SETS - 1)
-    row = np.clip((e + UNIVERSE) / spacing, 0.0, SETS - 1.0)
-    col = np.clip((ec + UNIVERSE) / spacing, 0.0, SETS - 1.0)
-    i = np.minimum(row.astype(np.intp), SETS - 2)
-    j = np.minimum(col.astype(np.intp), SETS - 2)
-    fi, fj = row - i, col - j
-    low = table[i, j] * (1.0 - fj) + table[i, j + 1] * fj
-    high = table[i + 1, j] * (1.0 - fj) + table[i + 1, j + 1] * fj
-    return np.asarray(low * (1.0 - fi) + high * fi)
+    return _interpolate(table, np.array([e, ec]) / _SPACING)
+
+
+_SPACING = 2.0 * UNIVERSE / (SETS - 1)
+
+
+def _interpolate(table: Array, place: Array) -> Array:
+    """Bilinear interpolation at `place` ``(2, 4[, N])``: row and column, counted from the table's middle."""
+    place = np.minimum(np.maximum(place + SETS // 2, 0.0), SETS - 1.0)
+    cell = np.minimum(place.astype(np.intp), SETS - 2)
+    down, along = place - cell
+    corner = SETS * cell[0] + cell[1]
+    flat, rows = table.ravel(), np.array([corner, corner + SETS])
+    left, right = flat.take(rows), flat.take(rows + 1)
+    low, high = left + along * (right - left)
+    return np.asarray(low + down * (high - low))
+
+
+@remember
+def _scaling(parameters: FuzzyParameters, axes: int) -> tuple[Array, Array]:
+    """From error and rate ``(2, 4[, N])`` to places in the table, and from its entries to rad/s."""
+    like = np.empty((1,) * axes)
+    edges = np.array(
+        np.broadcast_arrays(column(parameters.error_scale, like), column(parameters.error_rate_scale, like))
+    )
+    return UNIVERSE / _SPACING / edges, column(parameters.omega_c_range, like) / UNIVERSE
 
 
 def bandwidth_correction(parameters: FuzzyParameters, error: Array, error_rate: Array) -> Array:
     """Delta omega_c [rad/s] for error e = y - r and its rate, each ``(4[, N])`` in output units."""
-    e = UNIVERSE * error / column(parameters.error_scale, error)
-    ec = UNIVERSE * error_rate / column(parameters.error_rate_scale, error)
-    consequent = infer(TABLES[parameters.rules], e, ec)
-    return np.asarray(consequent / UNIVERSE * column(parameters.omega_c_range, error))
+    to_place, to_bandwidth = _scaling(parameters, error.ndim)
+    place = np.array([error, error_rate]) * to_place
+    return np.asarray(_interpolate(TABLES[parameters.rules], place) * to_bandwidth)

@@ -21,15 +21,17 @@ from typing import Literal
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
+from numpy.typing import NDArray
 
 from kffa_offboard.control import Array, BoolArray, column
+from kffa_offboard.control.memory import remember
 from kffa_offboard.control.observer import PlantModel, transition
 
 LITERAL_PROCESS_VARIANCE = 0.03  # the paper's Q, per step (section III-C)
 MEASUREMENT_VARIANCE = 0.001  # the paper's R (section III-C)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class KalmanParameters:
     """Noise model of each channel.
 
@@ -110,10 +112,17 @@ def with_disturbance_step(parameters: KalmanParameters, state: KalmanState, step
     return replace(state, mean=mean)
 
 
-def _model_matrices(parameters: KalmanParameters, damping: Array, dt: float) -> tuple[Array, Array, Array]:
-    """Transition F, input matrix B (for accelerations) and process noise Q over `dt`, block diagonal."""
-    channels, n = len(damping), parameters.states
-    e, p, q = transition(damping, dt)
+@remember
+def _model_matrices(
+    parameters: KalmanParameters, model: PlantModel, dt: float
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Transition F, input matrix B (for accelerations) and process noise Q over `dt`, block diagonal.
+
+    And the model's b0 and stiffness as columns ``(4, 1)`` or ``(4, N)``.
+    """
+    channels, n = len(parameters.measurement_variance), parameters.states
+    e, p, q = transition(np.asarray(model.damping, dtype=float), dt)
+    b0, stiffness = (column(value, np.empty((1, 1))) for value in (model.b0, model.stiffness))
     base = n * np.arange(channels)
     f = np.eye(n * channels)
     f[base, base + 1] = p
@@ -129,7 +138,7 @@ def _model_matrices(parameters: KalmanParameters, damping: Array, dt: float) -> 
             else parameters.process_variance
         )
         noise[base, base] = noise[base + 1, base + 1] = variance
-        return f, b, noise
+        return f, b, noise, b0, stiffness
     f[base, base + 2] = q
     f[base + 1, base + 2] = p
     # Integral of (t^2/2, t, 1)(t^2/2, t, 1)^T over dt: the random walk enters through the disturbance.
@@ -139,7 +148,22 @@ def _model_matrices(parameters: KalmanParameters, damping: Array, dt: float) -> 
     for i in range(3):
         for j in range(3):
             noise[base + i, base + j] = parameters.disturbance_intensity * powers[i, j]
-    return f, b, noise
+    return f, b, noise, b0, stiffness
+
+
+@remember
+def _selection(
+    parameters: KalmanParameters, fresh: BoolArray, with_rate: bool
+) -> tuple[NDArray[np.intp], Array, Array]:
+    """Channels with a fresh measurement, the H that picks their outputs (then rates) and the R of these."""
+    index = np.flatnonzero(fresh)
+    rows, variances = parameters.states * index, parameters.measurement_variance[index]
+    if with_rate and parameters.rate_variance is not None:
+        rows = np.concatenate([rows, rows + 1])
+        variances = np.concatenate([variances, parameters.rate_variance[index]])
+    h = np.zeros((rows.size, parameters.states * fresh.size))
+    h[np.arange(rows.size), rows] = 1.0
+    return index, h, np.diag(variances)
 
 
 def step(
@@ -173,21 +197,15 @@ def step(
     """
     channels, n = len(measurement), parameters.states
     kalman = _filter(parameters, state)
-    f, b, q = _model_matrices(parameters, np.asarray(model.damping, dtype=float), dt)
-    outputs = state.mean.reshape(channels, n, -1)[:, 0].reshape(measurement.shape)
-    acceleration = column(model.b0, measurement) * command - column(model.stiffness, measurement) * outputs
-    kalman.predict(u=acceleration.reshape(channels, -1), B=b, F=f, Q=q)
-    index = np.flatnonzero(fresh.reshape(channels, -1)[:, 0])
+    f, b, q, b0, stiffness = _model_matrices(parameters, model, dt)
+    acceleration = b0 * command.reshape(channels, -1) - stiffness * state.mean[::n]
+    kalman.predict(u=acceleration, B=b, F=f, Q=q)
+    rates = None if parameters.rate_variance is None else measured_rate
+    index, h, r = _selection(parameters, fresh.reshape(channels, -1)[:, 0], rates is not None)
     if index.size:
-        values, variances = measurement.reshape(channels, -1)[index], parameters.measurement_variance[index]
-        rows = n * index
-        if parameters.rate_variance is not None and measured_rate is not None:
-            values = np.concatenate([values, measured_rate.reshape(channels, -1)[index]])
-            variances = np.concatenate([variances, parameters.rate_variance[index]])
-            rows = np.concatenate([rows, rows + 1])
-        h = np.zeros((rows.size, n * channels))
-        h[np.arange(rows.size), rows] = 1.0
-        kalman.update(values, R=np.diag(variances), H=h)
+        values = measurement.reshape(channels, -1)[index]
+        if rates is not None:
+            values = np.concatenate([values, rates.reshape(channels, -1)[index]])
+        kalman.update(values, R=r, H=h)
     mean = np.asarray(kalman.x)
-    filtered = mean.reshape(channels, n, -1)[:, 0].reshape(measurement.shape)
-    return KalmanState(mean, np.asarray(kalman.P)), filtered
+    return KalmanState(mean, np.asarray(kalman.P)), mean[::n].reshape(measurement.shape)

@@ -20,7 +20,7 @@ SETTLING_2_PERCENT = 5.83
 SETTLING_5_PERCENT = 4.74
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class LawParameters:
     """Gains of the PD part; each ``(4,)`` or ``(4, N)``.
 

@@ -27,9 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from kffa_offboard.control import Array, BoolArray, column
+from kffa_offboard.control.memory import remember
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PlantModel:
     """What is known of each channel's plant; each entry ``(4,)`` or ``(4, N)``.
 
@@ -45,7 +46,7 @@ class PlantModel:
     stiffness: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class ObserverParameters:
     """Poles of the estimation error.
 
@@ -138,18 +139,26 @@ def correction_gains(
     return 1.0 - remainder, l2, l3
 
 
+@remember
+def _discrete(model: PlantModel, dt: float | Array, axes: int) -> tuple[Array, Array, Array, Array, Array]:
+    """`transition` over `dt`, b0 and stiffness, to go with arrays of so many axes."""
+    like = np.empty((1,) * axes)
+    e, p, q = transition(column(model.damping, like), column(dt, like))
+    return e, p, q, column(model.b0, like), column(model.stiffness, like)
+
+
+@remember
+def _gains(parameters: ObserverParameters, model: PlantModel, elapsed: Array) -> tuple[Array, Array, Array]:
+    return correction_gains(parameters, column(model.damping, elapsed), elapsed)
+
+
 def predict(model: PlantModel, state: ObserverState, command: Array, dt: float | Array) -> ObserverState:
     """Advance the estimates by `dt` s with the command that was acting (paper eq 19, exact).
 
     `dt` is one number, or one for each channel ``(4[, N])``.
     """
-    damping = column(model.damping, state.estimate)
-    acceleration = (
-        state.disturbance
-        + column(model.b0, state.estimate) * command
-        - column(model.stiffness, state.estimate) * state.estimate
-    )
-    e, p, q = transition(damping, dt)
+    e, p, q, b0, stiffness = _discrete(model, dt, state.estimate.ndim)
+    acceleration = state.disturbance + b0 * command - stiffness * state.estimate
     return ObserverState(
         estimate=state.estimate + p * state.rate + q * acceleration,
         rate=e * state.rate + p * acceleration,
@@ -174,8 +183,7 @@ def correct(
         fresh are not read.
     fresh : (4[, N]) of bool
     """
-    damping = column(model.damping, state.estimate)
-    l1, l2, l3 = correction_gains(parameters, damping, state.elapsed)
+    l1, l2, l3 = _gains(parameters, model, state.elapsed)
     innovation = np.where(fresh, measurement - state.estimate, 0.0)
     return ObserverState(
         estimate=state.estimate + l1 * innovation,

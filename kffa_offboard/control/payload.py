@@ -58,7 +58,7 @@ class DetectionParameters:
     confidence: float = 4.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PayloadParameters:
     """What is known of the vehicle.
 

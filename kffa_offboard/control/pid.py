@@ -16,7 +16,7 @@ import numpy as np
 from kffa_offboard.control import Array, BoolArray, column
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PidParameters:
     """Gains of each channel, ``(4,)`` or ``(4, N)``.
 

@@ -24,13 +24,13 @@ def euler_rates_to_body_rates(euler: Array, euler_rates: Array) -> Array:
     euler, euler_rates : (3[, N])
         Roll, pitch, yaw and their derivatives.
     """
-    roll, pitch = euler[0], euler[1]
-    roll_rate, pitch_rate, yaw_rate = euler_rates[0], euler_rates[1], euler_rates[2]
-    return np.stack(
+    (sin_roll, sin_pitch), (cos_roll, cos_pitch) = np.sin(euler[:2]), np.cos(euler[:2])
+    roll_rate, pitch_rate, yaw_rate = euler_rates
+    return np.array(
         [
-            roll_rate - np.sin(pitch) * yaw_rate,
-            np.cos(roll) * pitch_rate + np.sin(roll) * np.cos(pitch) * yaw_rate,
-            -np.sin(roll) * pitch_rate + np.cos(roll) * np.cos(pitch) * yaw_rate,
+            roll_rate - sin_pitch * yaw_rate,
+            cos_roll * pitch_rate + sin_roll * cos_pitch * yaw_rate,
+            -sin_roll * pitch_rate + cos_roll * cos_pitch * yaw_rate,
         ]
     )
 
@@ -40,16 +40,15 @@ def body_rates_to_euler_rates(euler: Array, body_rates: Array) -> Array:
 
     Singular at pitch = +-90 degrees; there cos(pitch) is held at 1e-3, so the answer stays finite.
     """
-    roll, pitch = euler[0], euler[1]
-    p, q, r = body_rates[0], body_rates[1], body_rates[2]
-    cosine = np.cos(pitch)
-    cosine = np.where(np.abs(cosine) < _COSINE_FLOOR, np.copysign(_COSINE_FLOOR, cosine), cosine)
-    turning = np.sin(roll) * q + np.cos(roll) * r
-    return np.stack(
+    (sin_roll, sin_pitch), (cos_roll, cos_pitch) = np.sin(euler[:2]), np.cos(euler[:2])
+    p, q, r = body_rates
+    cos_pitch = np.copysign(np.maximum(np.abs(cos_pitch), _COSINE_FLOOR), cos_pitch)
+    turning = sin_roll * q + cos_roll * r
+    return np.array(
         [
-            p + np.sin(pitch) / cosine * turning,
-            np.cos(roll) * q - np.sin(roll) * r,
-            turning / cosine,
+            p + sin_pitch / cos_pitch * turning,
+            cos_roll * q - sin_roll * r,
+            turning / cos_pitch,
         ]
     )
 

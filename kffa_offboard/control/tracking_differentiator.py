@@ -19,7 +19,7 @@ import numpy as np
 from kffa_offboard.control import Array, column
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class TrackingDifferentiatorParameters:
     """Parameters of the transition process.
 
@@ -60,9 +60,10 @@ def fhan(x1: Array, x2: Array, r: Array, h0: float) -> Array:
     d = r * h0**2
     a0 = h0 * x2
     y = x1 + a0
-    a1 = np.sqrt(d * (d + 8.0 * np.abs(y)))
-    a = np.where(np.abs(y) <= d, a0 + y, a0 + np.sign(y) * (a1 - d) / 2.0)
-    return np.where(np.abs(a) <= d, -r * a / d, -r * np.sign(a))
+    size = np.abs(y)
+    a1 = np.sqrt(d * (d + 8.0 * size))
+    a = a0 + np.where(size <= d, y, np.copysign(0.5 * (a1 - d), y))
+    return np.asarray(r * np.minimum(np.maximum(a / -d, -1.0), 1.0))
 
 
 def step(
