@@ -29,6 +29,11 @@ class ActuatorParameters:
         """Of all channels (and flights), s."""
         return float(np.max(self.delay))
 
+    @cached_property
+    def longest_lag(self) -> float:
+        """Of all channels (and flights), s."""
+        return float(np.max(self.lag))
+
 
 @dataclass(frozen=True)
 class ActuatorState:

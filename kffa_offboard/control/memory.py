@@ -1,7 +1,7 @@
 """Remembering what depends on parameters and step times alone.
 
-A flight takes steps of a few different lengths with one set of parameters; the exact discretisation of a block
-is worked out once for each and looked up from then on. The functions stay pure: nobody can tell, but by a clock.
+A flight takes steps of a few different lengths with one set of parameters; the exact discretisation of a
+block is worked out once for each and looked up from then on. The functions stay pure.
 """
 
 from __future__ import annotations

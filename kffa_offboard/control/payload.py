@@ -21,6 +21,7 @@ All arrays are scalars ``()`` for one vehicle or ``(N,)`` for a batch.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from math import exp
 
 import numpy as np
 
@@ -198,26 +199,28 @@ def step(
     rate : measured climb rate, m/s; read if `fresh`
     tilt_factor : cos(roll) cos(pitch), as measured
     """
-    before = state.acted
-    state = advance(parameters, state, dt)
-    state = _predict(parameters, state, tilt_factor, state.acted - before, dt)
+    state = _predict(parameters, state, tilt_factor, dt)
     if fresh:
         state = _correct(parameters, state, rate)
     return _decide(parameters, state, rate, dt)
 
 
 def _predict(
-    parameters: PayloadParameters, state: PayloadState, tilt_factor: Array, change: Array, dt: float
+    parameters: PayloadParameters, state: PayloadState, tilt_factor: Array, dt: float
 ) -> PayloadState:
-    """Kalman prediction with the transition [[1, gain], [0, 1]]."""
-    gain = parameters.b0 * state.acted * tilt_factor * dt
+    """Kalman prediction with the transition [[1, gain], [0, 1]], the gain by the thrust that acted."""
+    queue, (acted,) = actuator.step(parameters.actuator, state.thrust, dt)
+    change = acted - state.acted
+    gain = parameters.b0 * acted * tilt_factor * dt
     # A change of thrust is smeared over the lag: its steps err alike and add up.
-    together = 1.0 + 2.0 * float(np.max(parameters.actuator.lag)) / dt
+    together = 1.0 + 2.0 * parameters.actuator.longest_lag / dt
     mistimed = together * (parameters.b0 * change * parameters.timing_uncertainty) ** 2
     drift = parameters.acceleration_intensity / GRAVITY**2 * dt
     covariance = state.covariance + gain * state.ratio_variance
     return replace(
         state,
+        thrust=queue,
+        acted=acted,
         rate=state.rate + gain * state.ratio - GRAVITY * dt,
         rate_variance=state.rate_variance + gain * (state.covariance + covariance) + mistimed,
         covariance=covariance,
@@ -235,7 +238,7 @@ def _correct(parameters: PayloadParameters, state: PayloadState, rate: Array) ->
     return replace(
         state,
         rate=state.rate + k_rate * innovation,
-        ratio=np.clip(state.ratio + k_ratio * innovation, 0.2, 3.0),
+        ratio=np.minimum(np.maximum(state.ratio + k_ratio * innovation, 0.2), 3.0),
         rate_variance=(1.0 - k_rate) * state.rate_variance,
         covariance=(1.0 - k_rate) * state.covariance,
         ratio_variance=state.ratio_variance - k_ratio * state.covariance,
@@ -250,27 +253,36 @@ def _decide(
     """Alarm, then decision; while nothing is suspected the settled load follows the estimate."""
     detection = parameters.detection
     alarm = np.maximum(state.rising, state.falling) > detection.alarm
-    first = alarm & np.isinf(state.suspected)
-    state = replace(
+    suspected = state.suspected + dt
+    if alarm.any():
+        state = _alarmed(parameters, state, alarm, measured)
+        suspected = np.where(alarm & np.isinf(suspected), 0.0, suspected)
+    mass, std = load(parameters, state)
+    change = mass - state.settled
+    followed = state.settled + (1.0 - exp(-dt / detection.memory)) * change
+    calm = np.isinf(suspected)
+    if calm.all():
+        return replace(state, settled=followed), PayloadEstimate(mass, std, np.zeros_like(change))
+    noise = parameters.vehicle_mass / state.ratio**2 * np.sqrt(state.ratio_variance)
+    clear = np.abs(change) > np.maximum(detection.minimum, detection.confidence * noise)
+    decided = ~calm & (suspected >= detection.settle) & clear
+    over: BoolArray = decided | (~calm & (suspected >= detection.patience))
+    settled = np.where(decided, mass, np.where(calm, followed, state.settled))
+    state = replace(state, settled=settled, suspected=np.where(over, np.inf, suspected))
+    return state, PayloadEstimate(mass, std, np.where(decided, change, 0.0))
+
+
+def _alarmed(
+    parameters: PayloadParameters, state: PayloadState, alarm: BoolArray, measured: Array
+) -> PayloadState:
+    """Open the covariance where there is an alarm, so that the new mass is found at once."""
+    return replace(
         state,
-        suspected=np.where(first, 0.0, state.suspected + dt),
         # The climb rate was dragged along by the wrong ratio: begin it anew, too.
         rate_variance=np.where(alarm, parameters.rate_variance, state.rate_variance),
         rate=np.where(alarm, measured, state.rate),
         covariance=np.where(alarm, 0.0, state.covariance),
-        ratio_variance=np.where(alarm, detection.opening**2, state.ratio_variance),
+        ratio_variance=np.where(alarm, parameters.detection.opening**2, state.ratio_variance),
         rising=np.where(alarm, 0.0, state.rising),
         falling=np.where(alarm, 0.0, state.falling),
     )
-    mass, std = load(parameters, state)
-    change = mass - state.settled
-    noise = parameters.vehicle_mass / state.ratio**2 * np.sqrt(state.ratio_variance)
-    clear = np.abs(change) > np.maximum(detection.minimum, detection.confidence * noise)
-    waited = np.isfinite(state.suspected) & (state.suspected >= detection.settle)
-    decided = waited & clear
-    over: BoolArray = decided | (np.isfinite(state.suspected) & (state.suspected >= detection.patience))
-    calm = np.isinf(state.suspected)
-    followed = state.settled + (1.0 - np.exp(-dt / detection.memory)) * change
-    settled = np.where(decided, mass, np.where(calm, followed, state.settled))
-    state = replace(state, settled=settled, suspected=np.where(over, np.inf, state.suspected))
-    return state, PayloadEstimate(mass, std, np.where(decided, change, 0.0))

@@ -8,7 +8,7 @@ shadow: the observer is then told what the autopilot itself applies.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import exp
+from math import exp, nan
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry, reported_target, reported_thrust
 
 THRUST_MEMORY_S = 0.3
+ROUNDING = 1e-9  # what a setpoint may change by on its way through body rates and back
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,8 +182,9 @@ def target_of(settings: ServiceSettings, attitude: Vector3, command: Array) -> A
     if settings.output == "rates":
         rates = euler_rates_to_body_rates(np.array(attitude), command[:3])
         return AttitudeTarget(thrust, body_rates=(float(rates[0]), float(rates[1]), float(rates[2])))
-    yaw = float(wrap_angle(command[2]))
-    return AttitudeTarget(thrust, attitude=(float(command[0]), float(command[1]), yaw))
+    return AttitudeTarget(
+        thrust, attitude=(float(command[0]), float(command[1]), float(wrap_angle(command[2])))
+    )
 
 
 def level_target(settings: ServiceSettings, yaw: float, thrust: float) -> AttitudeTarget:
@@ -193,14 +195,24 @@ def level_target(settings: ServiceSettings, yaw: float, thrust: float) -> Attitu
 
 
 def step_loop(
-    settings: ServiceSettings, loop: LoopState, known: Telemetry, order: Order, time_us: int, dt: float
+    settings: ServiceSettings,
+    loop: LoopState,
+    known: Telemetry,
+    order: Order,
+    time_us: int,
+    dt: float,
+    *,
+    latency_s: float = nan,
 ) -> tuple[LoopState, LoopStep]:
-    """One control step for the attitude sample that has just been accepted, `dt` s after the last one."""
+    """One control step for the attitude sample that has just been accepted, `dt` s after the last one.
+
+    `latency_s` is for the log.
+    """
     assert known.attitude is not None and known.position is not None
     parameters, controller = settings.controller, loop.controller
     if order.directive.align:
         controller = controllers.align_reference(parameters, controller)
-    measured = _measurement(known)
+    measured, times = _measurement(known), (dt, latency_s)
     fresh = np.array([True, True, True, known.position.sample_time_us != loop.position_us])
     horizontal, reference = step_horizontal(
         settings.position, loop.horizontal, known, order.directive, order.controls, bool(fresh[3]), dt
@@ -208,19 +220,24 @@ def step_loop(
     inputs = controllers.ControllerInput(np.array(reference), measured, fresh, _measured_rate(known))
     controller, output = controllers.step(parameters, controller, inputs, dt)
     stop = float(output.estimate[3] + settings.reference_lag_s * output.estimate_rate[3])
-    loop = replace(loop, position_us=known.position.sample_time_us, altitude=float(output.estimate[3]))
-    loop = replace(loop, hold_altitude=stop, horizontal=horizontal)
+    loop = replace(
+        loop,
+        position_us=known.position.sample_time_us,
+        altitude=float(output.estimate[3]),
+        hold_altitude=stop,
+        horizontal=horizontal,
+    )
     near = output.estimate
     own = np.zeros(4) if order.controls else autopilot_command(settings, known, time_us, near)
     if not order.sending:
         controller = controllers.with_applied(parameters, controller, own)
         loop = replace(loop, controller=controller, vertical_thrust=float(own[3]))
-        return loop, LoopStep(None, _signals(time_us, order, dt, measured, output, output.command, own))
+        return loop, LoopStep(None, _signals(time_us, order, times, measured, output, output.command, own))
     loop, wanted, target = _wish(settings, loop, known, order, time_us, output.command, float(own[3]), near)
     since = max(dt, (time_us - loop.sent_us) * 1e-6)
     checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
     if checked.target is None:
-        signals = _signals(time_us, order, dt, measured, output, wanted, wanted)
+        signals = _signals(time_us, order, times, measured, output, wanted, wanted)
         return replace(loop, controller=controller), LoopStep(None, signals, checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = sent if order.acting else own
@@ -233,8 +250,9 @@ def step_loop(
         sent=checked.target,
         sent_us=time_us,
     )
-    limited = replace(output, saturated=output.saturated | (sent != wanted))
-    return loop, LoopStep(checked.target, _signals(time_us, order, dt, measured, limited, sent, applied))
+    if sent is not wanted:
+        output = replace(output, saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
+    return loop, LoopStep(checked.target, _signals(time_us, order, times, measured, output, sent, applied))
 
 
 def _averaged(loop: LoopState, thrust: float, dt: float) -> float:
@@ -269,14 +287,10 @@ def _wish(
     return loop, command, target_of(settings, attitude, command)
 
 
-def _numbers(values: Array) -> tuple[float, ...]:
-    return tuple(float(value) for value in values)
-
-
 def _signals(
     time_us: int,
     order: Order,
-    dt: float,
+    times: tuple[float, float],
     measured: Array,
     output: controllers.ControllerOutput,
     command: Array,
@@ -285,20 +299,16 @@ def _signals(
     return Signals(
         time_us=time_us,
         state=order.state_name,
-        reference=_numbers(output.reference),
-        reference_rate=_numbers(output.reference_rate),
-        measurement=_numbers(measured),
-        estimate=_numbers(output.estimate),
-        estimate_rate=_numbers(output.estimate_rate),
-        disturbance=_numbers(output.disturbance),
-        omega_c=_numbers(output.omega_c),
-        command=_numbers(command),
-        applied=_numbers(applied),
-        saturated=(
-            bool(output.saturated[0]),
-            bool(output.saturated[1]),
-            bool(output.saturated[2]),
-            bool(output.saturated[3]),
-        ),
-        dt=dt,
+        reference=tuple(output.reference.tolist()),
+        reference_rate=tuple(output.reference_rate.tolist()),
+        measurement=tuple(measured.tolist()),
+        estimate=tuple(output.estimate.tolist()),
+        estimate_rate=tuple(output.estimate_rate.tolist()),
+        disturbance=tuple(output.disturbance.tolist()),
+        omega_c=tuple(output.omega_c.tolist()),
+        command=tuple(command.tolist()),
+        applied=tuple(applied.tolist()),
+        saturated=tuple(output.saturated.tolist()),
+        dt=times[0],
+        latency_s=times[1],
     )

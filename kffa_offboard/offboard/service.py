@@ -35,6 +35,7 @@ from kffa_offboard.offboard.sequence import (
     retry_due,
 )
 from kffa_offboard.offboard.session import IDLE, SENDING, Finished, State
+from kffa_offboard.offboard.settings import ServiceSettings
 
 __all__ = ["Finished", "Service", "State"]
 
@@ -48,6 +49,10 @@ class Service(RequestSession):
     `advance` at `next_deadline`, and send what they return in that order.
     """
 
+    def __init__(self, settings: ServiceSettings) -> None:
+        super().__init__(settings)
+        self._earliest: Deadline | None = None
+
     def handle(self, time_us: int, event: Event) -> list[Output]:
         """Run the deadlines up to `time_us`, then the event; return what is to be sent.
 
@@ -57,6 +62,7 @@ class Service(RequestSession):
             If `time_us` is earlier than that of a former call.
         """
         self._run_deadlines(time_us)
+        self._earliest = None
         self._dispatch(time_us, event)
         return self._take_outputs()
 
@@ -69,7 +75,7 @@ class Service(RequestSession):
         """When `advance` must be called next, microseconds; None before the first call."""
         if self._now_us is None:
             return None
-        return min(due for due, _ in self._deadlines())
+        return self._next()[0]
 
     def _take_outputs(self) -> list[Output]:
         outputs, self._outputs = self._outputs, []
@@ -85,24 +91,30 @@ class Service(RequestSession):
                 f"event at {time_us} us comes after one at {self._now_us} us; keep them in order"
             )
         while True:
-            due, run = min(self._deadlines(), key=lambda deadline: deadline[0])
+            due, run = self._next()
             if due > time_us:
                 break
             self._now_us = due if self._now_us is None else max(due, self._now_us)
+            self._earliest = None
             run(due)
         self._now_us = time_us
+
+    def _next(self) -> Deadline:
+        """The earliest deadline; looked for again after what may change it, an event or a deadline."""
+        if self._earliest is None:
+            self._earliest = min(self._deadlines(), key=_due)
+        return self._earliest
 
     def _deadlines(self) -> list[Deadline]:
         """All that is due some time; of two at the same time the first in the list goes first."""
         settings, known = self.settings, self._known
         deadlines: list[Deadline] = []
         if self.state in SENDING or self.state is State.READY:
-            for name, stream, limit_s in (
-                ("attitude", known.attitude_stream, settings.telemetry.timeout_s),
-                ("position", known.position_stream, settings.telemetry.position_timeout_s),
+            for stream, limit_s, silent in (
+                (known.attitude_stream, settings.telemetry.timeout_s, self._no_attitude),
+                (known.position_stream, settings.telemetry.position_timeout_s, self._no_position),
             ):
                 if stream.arrival_us is not None:
-                    silent = self._silence(f"no {name} for {limit_s:g} s")
                     deadlines.append((stream.arrival_us + microseconds(limit_s), silent))
         if known.heartbeat is not None:
             lost_us = known.heartbeat_us + microseconds(settings.telemetry.heartbeat_timeout_s)
@@ -119,8 +131,11 @@ class Service(RequestSession):
         deadlines.append((self._own_heartbeat_us, self._beat))
         return deadlines
 
-    def _silence(self, reason: str) -> Callable[[int], None]:
-        return lambda time_us: self._fault(time_us, reason)
+    def _no_attitude(self, time_us: int) -> None:
+        self._fault(time_us, f"no attitude for {self.settings.telemetry.timeout_s:g} s")
+
+    def _no_position(self, time_us: int) -> None:
+        self._fault(time_us, f"no position for {self.settings.telemetry.position_timeout_s:g} s")
 
     def _heartbeat_lost(self, time_us: int) -> None:
         self._request_us = None
@@ -285,11 +300,13 @@ class Service(RequestSession):
         """One control step, in shadow or in earnest; the only source of new setpoints."""
         assert self._loop is not None
         order = self._order(time_us)
-        self._loop, result = step_loop(self.settings, self._loop, self._known, order, time_us, dt)
+        latency_s = telemetry.latency_s(self._known, self._link, time_us)
+        self._loop, result = step_loop(
+            self.settings, self._loop, self._known, order, time_us, dt, latency_s=latency_s
+        )
         if order.sending and result.target is not None:
             self._emit(result.target)
-        latency = telemetry.latency_s(self._known, self._link, time_us)
-        self._emit(replace(result.signals, latency_s=latency))
+        self._emit(result.signals)
         if result.fault is not None:
             self._fault(time_us, result.fault)
             return
@@ -365,6 +382,10 @@ class Service(RequestSession):
             on_ground=known.on_ground,
             powered_us=powered_us,
         )
+
+
+def _due(deadline: Deadline) -> int:
+    return deadline[0]
 
 
 def _answers(action: str, request: SetMode | SetArmed) -> bool:

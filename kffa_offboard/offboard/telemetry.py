@@ -81,11 +81,10 @@ def rate_hz(stream: Stream, now_us: int) -> float:
 
 
 def _accept(stream: Stream, sample_us: int, arrival_us: int) -> Stream:
-    first = next(
-        (k for k, t in enumerate(stream.arrivals) if t > arrival_us - _WINDOW_US), len(stream.arrivals)
-    )
-    arrivals = (*stream.arrivals[first:], arrival_us)
-    return replace(stream, sample_us=sample_us, arrival_us=arrival_us, arrivals=arrivals, repeats=0)
+    arrivals, first = stream.arrivals, 0
+    while first < len(arrivals) and arrivals[first] <= arrival_us - _WINDOW_US:
+        first += 1
+    return Stream(sample_us, arrival_us, (*arrivals[first:], arrival_us), 0, stream.dropped)
 
 
 def _sample(
@@ -127,7 +126,7 @@ def receive_attitude(
     event: AttitudeReceived,
 ) -> tuple[Telemetry, Sample]:
     """Take in one attitude sample."""
-    if not all(isfinite(number) for number in (*event.attitude, *event.body_rates)):
+    if not all(map(isfinite, (*event.attitude, *event.body_rates))):
         return replace(known, invalid=known.invalid + 1), Sample(False, fault="attitude is not finite")
     stream, sample = _sample(
         settings, known.attitude_stream, event.sample_time_us, time_us, settings.timeout_s
@@ -136,9 +135,9 @@ def receive_attitude(
         fault = _attitude_fault(limits, known.attitude, event, sample.dt)
         if fault is not None:
             return known, Sample(False, fault=fault)
-    known = _steady(settings, known, time_us)
-    known = replace(known, attitude_stream=stream)
-    return (replace(known, attitude=event), sample) if sample.accepted else (known, sample)
+    steady_us = _steady_since(settings, known, time_us)
+    newest = event if sample.accepted else known.attitude
+    return replace(known, attitude=newest, attitude_stream=stream, steady_since_us=steady_us), sample
 
 
 def receive_position(
@@ -149,7 +148,7 @@ def receive_position(
     event: PositionReceived,
 ) -> tuple[Telemetry, Sample]:
     """Take in one position sample."""
-    if not all(isfinite(number) for number in (*event.position, *event.velocity)):
+    if not all(map(isfinite, (*event.position, *event.velocity))):
         return replace(known, invalid=known.invalid + 1), Sample(False, fault="position is not finite")
     stream, sample = _sample(
         settings, known.position_stream, event.sample_time_us, time_us, settings.position_timeout_s
@@ -159,21 +158,21 @@ def receive_position(
         allowed = limits.altitude_jump_m + limits.climb_rate_max_m_s * sample.dt
         if jump > allowed:
             return known, Sample(False, fault=f"altitude jumped {jump:.2f} m, {allowed:.2f} possible")
-    known = _steady(settings, known, time_us)
-    known = replace(known, position_stream=stream)
-    return (replace(known, position=event), sample) if sample.accepted else (known, sample)
+    steady_us = _steady_since(settings, known, time_us)
+    newest = event if sample.accepted else known.position
+    return replace(known, position=newest, position_stream=stream, steady_since_us=steady_us), sample
 
 
-def _steady(settings: TelemetrySettings, known: Telemetry, time_us: int) -> Telemetry:
-    """Begin, keep or restart the unbroken stretch of telemetry."""
+def _steady_since(settings: TelemetrySettings, known: Telemetry, time_us: int) -> int | None:
+    """Begin, keep or restart the unbroken stretch of telemetry: since when it lasts."""
     attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us
     if attitude_us is None or position_us is None:
-        return known
+        return known.steady_since_us
     if time_us - attitude_us >= round(settings.timeout_s * 1e6) or time_us - position_us >= round(
         settings.position_timeout_s * 1e6
     ):
-        return replace(known, steady_since_us=time_us)
-    return known if known.steady_since_us is not None else replace(known, steady_since_us=time_us)
+        return time_us
+    return known.steady_since_us if known.steady_since_us is not None else time_us
 
 
 def forget_samples(known: Telemetry) -> Telemetry:
@@ -213,7 +212,7 @@ def receive_target(known: Telemetry, time_us: int, event: TargetReported) -> Tel
         event.body_rates if event.body_rates is not None and all(map(isfinite, event.body_rates)) else None
     )
     attitude = event.attitude if event.attitude is not None and all(map(isfinite, event.attitude)) else None
-    repaired = replace(event, thrust=thrust, body_rates=rates, attitude=attitude)
+    repaired = TargetReported(event.sample_time_us, thrust, rates, attitude)
     invalid = known.invalid + (0 if repaired == event else 1)
     return replace(known, target=repaired, target_us=time_us, invalid=invalid)
 
