@@ -142,7 +142,7 @@ def wrap_near(angle: Array, near: Array, angular: BoolArray) -> Array:
 @remember
 def _periods(angular: BoolArray, axes: int) -> tuple[Array]:
     """2 pi for angles, 0 for what does not wrap, to go with arrays of so many axes."""
-    return (column(2.0 * np.pi * angular, np.empty((1,) * axes)),)
+    return (column(np.where(angular, 2.0 * np.pi, 0.0), np.empty((1,) * axes)),)
 
 
 def initial_state(parameters: ControllerParameters, measurement: Array, command: Array) -> ControllerState:
