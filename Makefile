@@ -6,7 +6,7 @@ BIN := $(VENV)/bin
 INPUTS := pyproject.toml constraints.txt
 PIP := PIP_CONSTRAINT=constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --quiet
 
-.PHONY: help install install-dev install-clients demo test test-grid lint clean
+.PHONY: help install install-dev install-clients demo bench test test-grid lint clean
 
 help:
 	@echo "make install          the commands kffa-offboard and sim-vehicle, in $(BIN)"
@@ -15,6 +15,7 @@ help:
 	@echo "make test-grid        every seed with both autopilots and both outputs: some minutes"
 	@echo "make lint             the same without pytest"
 	@echo "make install-clients  MAVProxy and MAVSDK too, for the tests that fly the simulator with them (1 GB)"
+	@echo "make bench            latency, replay and start-up measured; benchmarks/results.json"
 	@echo "make clean            remove $(VENV), caches and builds"
 
 install: $(VENV)/.base
@@ -40,6 +41,11 @@ $(VENV)/.clients: $(INPUTS) | $(BIN)/python
 
 demo: $(VENV)/.base
 	$(BIN)/kffa-offboard demo --out $(OUT)
+
+bench: $(VENV)/.base
+	$(BIN)/python benchmarks/latency.py
+	$(BIN)/python benchmarks/replay.py
+	$(BIN)/python benchmarks/startup.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check

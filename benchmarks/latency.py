@@ -1,0 +1,137 @@
+"""Where the microseconds of a control step go, and UDP round trips beside a bare pymavlink echo."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+from unittest import mock
+
+import numpy as np
+from common import Probe, daemon_config, free_port, percentiles, save
+from replay import GOLDEN
+
+from kffa_offboard.config_log import config_of
+from kffa_offboard.control import controllers
+from kffa_offboard.mavlink.commands import attitude_target
+from kffa_offboard.mavlink.component import Component, FrameParser, Route
+from kffa_offboard.mavlink.session import Session
+from kffa_offboard.mavlink.transport import Datagram
+from kffa_offboard.offboard.events import AttitudeTarget
+from kffa_offboard.replay import engine
+from kffa_offboard.replay.recording import Recording, read_recording
+
+RATE_HZ = 250.0
+DURATION_S = 8.0
+
+
+def timed(function: Callable[[], Any], times: int = 3000) -> list[float]:
+    """How long each of many calls takes, s."""
+    result = []
+    for _ in range(times):
+        began = time.perf_counter()
+        function()
+        result.append(time.perf_counter() - began)
+    return result
+
+
+def control_step(parameters: controllers.ControllerParameters) -> list[float]:
+    """The law alone, four channels, all fresh."""
+    state = controllers.initial_state(parameters, np.zeros(4), np.array([0.0, 0.0, 0.0, 0.4]))
+    fresh = np.ones(4, dtype=bool)
+    inputs = controllers.ControllerInput(np.array([0.1, 0.0, 0.0, 1.0]), np.zeros(4), fresh, np.zeros(4))
+
+    def step() -> None:
+        nonlocal state
+        state, _ = controllers.step(parameters, state, inputs, 0.01)
+
+    return timed(step)
+
+
+def full_path(recording: Recording) -> list[float]:
+    """Decode, step, guard, pack, record: each ATTITUDE of a recorded flight that a setpoint answers."""
+    paths: list[float] = []
+    parser = FrameParser(keeps_frames_whole=True)
+
+    class Timed(Session):
+        def handle(self, time_us: int, message: Any) -> None:
+            frame, before = bytes(message.get_msgbuf()), self.counters.commands_sent
+            began = time.perf_counter()
+            (decoded,) = parser.parse(Datagram(time_us, frame, "vehicle"))
+            super().handle(time_us, decoded)
+            took = time.perf_counter() - began
+            if message.get_type() == "ATTITUDE" and self.counters.commands_sent > before:
+                paths.append(took)
+
+    with mock.patch.object(engine, "Session", Timed):
+        engine.replay(recording, config_of(recording.header, recording.path))
+    return paths
+
+
+@contextmanager
+def process(*command: str) -> Iterator[None]:
+    """A process under test; it is ended afterwards."""
+    with subprocess.Popen(
+        [sys.executable, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as running:
+        try:
+            yield
+        finally:
+            running.terminate()
+            try:
+                running.wait(10.0)
+            except subprocess.TimeoutExpired:
+                running.kill()
+
+
+def round_trips(port: int, *command: str) -> dict[str, Any]:
+    """Round trips to a process that listens on `port`, after it has begun to answer."""
+    probe = Probe(port)
+    with process(*command):
+        for _ in range(30):  # engaging takes seconds
+            if len(probe.round_trips(RATE_HZ / 2.5, 1.0)[0]) > 50:
+                break
+        trips, missed = probe.round_trips(RATE_HZ, DURATION_S)
+    probe.close()
+    if not trips:
+        raise SystemExit(f"error: {command[0]} {command[1]} did not answer; run it by hand to see why")
+    return {**percentiles(trips), "unanswered": missed}
+
+
+def main() -> None:
+    """Measure everything and print it."""
+    recording = read_recording(GOLDEN)
+    parameters = config_of(recording.header, recording.path).service.controller
+    frame = next(
+        bytes(m.get_msgbuf()) for _, m in recording.incoming if getattr(m, "get_type", str)() == "ATTITUDE"
+    )
+    parser, component, route = FrameParser(keeps_frames_whole=True), Component(Route()), Route()
+    four = np.ones(4)
+    target = AttitudeTarget(0.4, body_rates=(0.01, 0.02, 0.03))
+    rows: dict[str, dict[str, Any]] = {
+        "numpy a + b, four numbers": percentiles(timed(lambda: four + four)),
+        "control step (KFFA-LADRC)": percentiles(control_step(parameters)),
+        "decode ATTITUDE": percentiles(timed(lambda: parser.parse(Datagram(0, frame, "vehicle")))),
+        "pack SET_ATTITUDE_TARGET": percentiles(
+            timed(lambda: component.pack(attitude_target(route, target, 1000)))
+        ),
+        "full path in process": percentiles(full_path(recording)),
+    }
+    echo_port, port = free_port(), free_port()
+    here = Path(__file__).parent
+    with tempfile.TemporaryDirectory() as directory:
+        config = daemon_config(Path(directory), port)
+        run = ("-m", "kffa_offboard", "run", "--config", str(config), "--engage")
+        log = ("--log", str(Path(directory) / "flight.tlog"))
+        rows["UDP, bare pymavlink echo"] = round_trips(echo_port, str(here / "echo.py"), str(echo_port))
+        rows["UDP, kffa-offboard run"] = round_trips(port, *run, *log)
+    save("latency", rows)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,51 @@
+"""From starting `kffa-offboard run` to its first message to the vehicle, and its memory."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+from common import Probe, daemon_config, free_port, save
+
+RUNS = 1
+WATCHED_S = 4.0
+
+
+def start(directory: Path) -> tuple[float, float]:
+    """Seconds to the first datagram, and resident MiB some seconds later, while it flies."""
+    port = free_port()
+    probe = Probe(port)
+    command = ["-m", "kffa_offboard", "run", "--config", str(daemon_config(directory, port)), "--engage"]
+    began = time.perf_counter()
+    with subprocess.Popen(
+        [sys.executable, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    ) as running:
+        first = 0.0
+        while time.perf_counter() - began < 30.0 and not first:
+            probe.heartbeat()
+            if probe.hear(0.01):
+                first = time.perf_counter() - began
+        probe.round_trips(100.0, WATCHED_S)
+        status = Path(f"/proc/{running.pid}/status").read_text()
+        running.kill()
+    probe.close()
+    (resident,) = [line.split()[1] for line in status.splitlines() if line.startswith("VmRSS")]
+    return first, int(resident) / 1024
+
+
+def main() -> None:
+    """Start several times."""
+    with tempfile.TemporaryDirectory() as directory:
+        runs = sorted(start(Path(directory)) for _ in range(RUNS))
+    rows = {
+        "start to first message [s]": {"median": round(runs[RUNS // 2][0], 2), "best": round(runs[0][0], 2)},
+        "resident memory [MiB]": {"median": round(sorted(r[1] for r in runs)[RUNS // 2]), "best": ""},
+    }
+    save("startup", rows)
+
+
+if __name__ == "__main__":
+    main()
