@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from kffa_offboard.demo.metrics import measure
 
 from kffa_offboard.config import Overrides, bundled, load, read_toml
 from kffa_offboard.config_control import ControlTable
@@ -20,6 +19,7 @@ from kffa_offboard.loganalysis.shadow import shadow
 from kffa_offboard.loganalysis.tune import tune
 from kffa_offboard.loganalysis.tune_command import tuned_tables
 from kffa_offboard.offboard.segments import Hold, Step, Takeoff
+from kffa_offboard.trials.metrics import measure
 from sim_vehicle import config as sim_config
 from sim_vehicle.vehicle import SimulatedVehicle
 
