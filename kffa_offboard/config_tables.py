@@ -89,6 +89,8 @@ class TelemetryTable(Table):
     request_limit: Annotated[int, Field(ge=1, le=1000)] = _TELEMETRY.request_limit
     report_timeout_s: Timeout = _TELEMETRY.report_timeout_s
     repeated_samples_max: Annotated[int, Field(ge=1, le=10000)] = _TELEMETRY.repeated_samples_max
+    frozen_time_s: Timeout = _TELEMETRY.frozen_time_s
+    late_max_s: Timeout = _TELEMETRY.late_max_s
 
 
 class LimitsTable(Table):
@@ -113,6 +115,10 @@ class LimitsTable(Table):
     attitude_rate_max_deg_s: AngularRate = degrees(_LIMITS.attitude_rate_max_rad_s)
     altitude_jump_m: Length = _LIMITS.altitude_jump_m
     climb_rate_max_m_s: Speed = _LIMITS.climb_rate_max_m_s
+    fence_radius_m: Annotated[float, number("m", at_least=1.0, at_most=1e5)] = _LIMITS.fence_radius_m
+    battery_min_percent: Annotated[float, number("%", at_least=0.0, at_most=100.0)] = (
+        _LIMITS.battery_min_percent
+    )
     tilt_compensation_max_deg: Angle = degrees(_LIMITS.tilt_compensation_max_rad)
 
 

@@ -76,6 +76,7 @@ _LIMITS = {
     "altitude_min_m": "ALT_MIN_M",
     "altitude_max_m": "ALT_MAX_M",
     "tilt_compensation_max_deg": "TILT_CMP_DEG",
+    "fence_radius_m": "FENCE_M",
 }
 _CASCADE = {
     "roll_p": "ROLL_P",

@@ -12,6 +12,7 @@ from kffa_offboard.mavlink import frames
 from kffa_offboard.mavlink.component import Message
 from kffa_offboard.offboard.events import (
     AttitudeReceived,
+    BatteryReported,
     Event,
     LandedStateReported,
     PositionReceived,
@@ -102,6 +103,8 @@ class TelemetryDecoder:
                 return [ThrottleReported(message.throttle / 100.0)]
             case "EXTENDED_SYS_STATE":
                 return landed_state(message)
+            case "SYS_STATUS":
+                return battery(message)
             case "STATUSTEXT":
                 return list(self._texts.add(message))
             case _:
@@ -141,6 +144,11 @@ class TelemetryDecoder:
             body_rates,
             attitude,
         )
+
+
+def battery(message: Message) -> list[Event]:
+    """What is left in the battery; nothing if the autopilot does not know."""
+    return [BatteryReported(float(message.battery_remaining))] if message.battery_remaining >= 0 else []
 
 
 def landed_state(message: Message) -> list[Event]:

@@ -96,6 +96,13 @@ class LandedStateReported:
 
 
 @dataclass(frozen=True, slots=True)
+class BatteryReported:
+    """SYS_STATUS: what is left in the battery, percent."""
+
+    remaining_percent: float
+
+
+@dataclass(frozen=True, slots=True)
 class CommandAnswered:
     """COMMAND_ACK. `action` names the output it answers."""
 
@@ -191,6 +198,7 @@ Event: TypeAlias = (
     | TargetReported
     | ThrottleReported
     | LandedStateReported
+    | BatteryReported
     | CommandAnswered
     | StatusReceived
     | ParametersChecked

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from kffa_offboard.offboard import events, external, parameters
+from kffa_offboard.offboard import admission, events, external, parameters
 from kffa_offboard.offboard.events import AttitudeSetpoint, Event, PositionSetpoint, Severity
 from kffa_offboard.offboard.flight import Directive, Phase
 from kffa_offboard.offboard.payload_session import PayloadSession
 from kffa_offboard.offboard.reference import current_segment
 from kffa_offboard.offboard.segments import External
-from kffa_offboard.offboard.session import State
+from kffa_offboard.offboard.session import SENDING, State
 from kffa_offboard.offboard.tuning import adopt
 
 
@@ -29,13 +29,28 @@ class RequestSession(PayloadSession):
                 self._loop = adopt(self._loop, self.settings, event.settings)
                 self.settings = event.settings
             case events.LinkMeasured():
-                self._link = event
+                self._on_link_measured(time_us, event)
+            case events.BatteryReported():
+                self._on_battery(event)
             case PositionSetpoint() | AttitudeSetpoint():
                 self._on_setpoint(time_us, event)
             case events.ParametersChecked():
                 self._on_parameters(event)
             case _:
                 pass
+
+    def _on_link_measured(self, time_us: int, measured: events.LinkMeasured) -> None:
+        self._link = measured
+        late = admission.late(self.settings, self._known, measured, time_us, admission.LATENCY_IN_FLIGHT)
+        if late is not None and self.state in SENDING:
+            self._failsafe(time_us, late)
+
+    def _on_battery(self, reported: events.BatteryReported) -> None:
+        """In flight the autopilot's own battery failsafe acts; here it is only said."""
+        self._battery = reported
+        low = admission.empty(self.settings.limits, reported)
+        if low is not None and self.state in SENDING:
+            self._say_once(Severity.WARNING, "battery low")
 
     def _on_parameters(self, checked: events.ParametersChecked) -> None:
         if checked.complete:

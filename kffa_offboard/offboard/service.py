@@ -20,7 +20,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from kffa_offboard.offboard import events, telemetry
+from kffa_offboard.offboard import admission, events, telemetry, trust
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
 from kffa_offboard.offboard.horizontal import astray, position_jump
@@ -224,6 +224,10 @@ class Service(RequestSession):
         )
         jump = position_jump(self.settings.position, last, event) if sample.accepted else None
         fault = sample.fault or jump
+        if sample.accepted and fault is None:
+            self._trust, fault = trust.watch_position(
+                self.settings.telemetry, self.settings.limits, self._trust, time_us, event, self._flying
+            )
         if fault is not None:
             self._fault(time_us, fault)
         else:
@@ -237,6 +241,12 @@ class Service(RequestSession):
             self._fault(time_us, sample.fault)
             return
         if not sample.accepted:
+            return
+        self._trust, fault = trust.watch_attitude(
+            self.settings.telemetry, self.settings.limits, self._trust, time_us, event, self._flying
+        )
+        if fault is not None:
+            self._fault(time_us, fault)
             return
         self._check_limits(time_us)
         if self._loop is None:
@@ -253,16 +263,25 @@ class Service(RequestSession):
         if self.state in SENDING and self._flight is not None:
             ground = self._flight.scenario.ground
             outside = telemetry.outside_limits(self.settings.limits, self._known, ground)
+            outside = outside or admission.outside_fence(self.settings.limits, self._known, self._centre)
+            if outside is None and self.state is State.ENGAGED:
+                outside = admission.slow(self.settings, self._known, time_us)
             if outside is None and self._loop is not None:
                 outside = astray(self.settings.position, self._loop.horizontal)
             if outside is not None:
                 self._failsafe(time_us, outside)
+
+    @property
+    def _flying(self) -> bool:
+        """In our hands and in the air."""
+        return self.state in SENDING and self._flight is not None and self._flight.phase is Phase.AIR
 
     def _try_ready(self, time_us: int) -> None:
         if (
             self._loop is not None
             and self._parameters.complete
             and telemetry.not_ready(self.settings.telemetry, self._known, time_us) is None
+            and admission.slow(self.settings, self._known, time_us) is None
         ):
             self.state = State.READY
             self._say(Severity.INFO, "ready")

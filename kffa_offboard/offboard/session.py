@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from enum import Enum
 
-from kffa_offboard.offboard import events, parameters, sequence, telemetry
+from kffa_offboard.offboard import admission, events, parameters, sequence, telemetry
 from kffa_offboard.offboard.events import Announce, ModeKind, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.external import External
 from kffa_offboard.offboard.farewell import farewell
@@ -26,6 +26,7 @@ from kffa_offboard.offboard.loop import LoopState, forget_sent
 from kffa_offboard.offboard.segments import Land, starts_on_ground
 from kffa_offboard.offboard.sequence import Engagement, EngagePhase, EngageStep, Retry, begin_retry
 from kffa_offboard.offboard.settings import ServiceSettings
+from kffa_offboard.offboard.trust import Trust
 
 
 class State(Enum):
@@ -84,6 +85,9 @@ class Session:
         self._requests = 0
         self._gripper_us: int | None = None
         self._link: events.LinkMeasured | None = None
+        self._battery: events.BatteryReported | None = None
+        self._trust = Trust()
+        self._centre: tuple[float, float] | None = None
         self._stay = False
         self._external: External | None = None
 
@@ -130,10 +134,11 @@ class Session:
         unsafe = parameters.unsafe(self._parameters)
         if unsafe is not None:
             return unsafe
-        if self.state is State.WAITING:
-            return telemetry.not_ready(self.settings.telemetry, self._known, time_us) or "not ready"
-        if self.state is not State.READY:
+        if self.state not in IDLE:
             return f"already {self.state.value}"
+        refusal = admission.refusal(self.settings, self._known, self._link, self._battery, time_us)
+        if refusal is not None or self.state is State.WAITING:
+            return refusal or "not ready"
         grounded = self._grounded(time_us)
         if grounded is None:
             return "cannot tell whether it flies"
@@ -164,6 +169,7 @@ class Session:
         altitude = self._loop.altitude if grounded else self._loop.hold_altitude
         self._flight = begin_flight(time_us, not grounded, altitude, known.attitude.attitude[2])
         self._loop = forget_sent(self._loop)
+        self._centre = known.position.position[:2]
         self._said.clear()
         self._stay = False
         self._armed_here = False
@@ -366,6 +372,7 @@ class Session:
             self.state = State.WAITING
             self._say(Severity.WARNING, f"not ready: {reason}")
         self._known = telemetry.forget_samples(self._known)
+        self._trust = Trust()
         self._loop = None
 
     def _failsafe(self, time_us: int, reason: str) -> None:

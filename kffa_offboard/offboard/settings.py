@@ -42,6 +42,8 @@ class TelemetrySettings:
     request_interval_s, request_limit : repetition of the request while too little arrives
     report_timeout_s : age at which the autopilot's reported target or throttle counts no more
     repeated_samples_max : samples in a row whose clock does not advance
+    frozen_time_s : longest time in the air without any change of a value while the clock goes on
+    late_max_s : how much later samples may come than they lately did
     """
 
     attitude_hz: float = 100.0
@@ -60,10 +62,19 @@ class TelemetrySettings:
     request_limit: int = 10
     report_timeout_s: float = 0.5
     repeated_samples_max: int = 20
+    frozen_time_s: float = 0.5
+    late_max_s: float = 0.15
 
     def __post_init__(self) -> None:
         _require(self, "telemetry")
-        for name in ("timeout_s", "position_timeout_s", "heartbeat_timeout_s", "request_interval_s"):
+        for name in (
+            "timeout_s",
+            "position_timeout_s",
+            "heartbeat_timeout_s",
+            "request_interval_s",
+            "frozen_time_s",
+            "late_max_s",
+        ):
             if getattr(self, name) <= 0.0:
                 raise ValueError(f"telemetry.{name} = {getattr(self, name)}: must be positive")
 
@@ -83,7 +94,9 @@ class LimitSettings:
     tilt_failsafe_rad, altitude_min_m, altitude_max_m : measured; beyond them is a failsafe
     attitude_jump_rad, attitude_rate_max_rad_s : a change between two samples of more than
         jump + rate * dt is impossible
-    altitude_jump_m, climb_rate_max_m_s : the same for altitude
+    altitude_jump_m, climb_rate_max_m_s : the same for altitude; also the largest measured rates
+    fence_radius_m : farthest from where control was taken
+    battery_min_percent : below it control is not taken
     tilt_compensation_max_rad : thrust is divided by cos(roll) cos(pitch) down to this angle's cosine
     """
 
@@ -100,6 +113,8 @@ class LimitSettings:
     attitude_rate_max_rad_s: float = 10.0
     altitude_jump_m: float = 0.5
     climb_rate_max_m_s: float = 10.0
+    fence_radius_m: float = 100.0
+    battery_min_percent: float = 20.0
     tilt_compensation_max_rad: float = pi / 3.0
 
     def __post_init__(self) -> None:
@@ -119,6 +134,8 @@ class LimitSettings:
                 f"limits.altitude_min_m = {self.altitude_min_m}: must be below "
                 f"altitude_max_m = {self.altitude_max_m}"
             )
+        if self.fence_radius_m <= 0.0:
+            raise ValueError(f"limits.fence_radius_m = {self.fence_radius_m}: must be positive")
         if not 0.0 < self.tilt_compensation_max_rad < pi / 2.0:
             raise ValueError(
                 f"limits.tilt_compensation_max_rad = {self.tilt_compensation_max_rad}: must be in (0, pi/2)"

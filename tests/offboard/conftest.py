@@ -216,8 +216,10 @@ class Lockstep:
             yield events.LandedStateReported(vehicle.grounded)
         if count % 5 == 0 and vehicle.reports_target:
             yield events.TargetReported(now, vehicle.applied, tuple(vehicle.rates), tuple(vehicle.attitude))
-        yield events.PositionReceived(now, (0.0, 0.0, vehicle.position), (0.0, 0.0, vehicle.velocity))
-        yield events.AttitudeReceived(now, tuple(vehicle.attitude), tuple(vehicle.rates))
+        tiny = 1e-9 * (count % 2)  # no sensor repeats itself to the last bit
+        velocity, (p, q, r) = vehicle.velocity, vehicle.rates
+        yield events.PositionReceived(now, (0.0, 0.0, vehicle.position), (0.0, tiny, velocity))
+        yield events.AttitudeReceived(now, tuple(vehicle.attitude), (p, q, r + tiny))
 
     def run(self, seconds, until=None):
         """Tick for `seconds`, or until the condition holds; returns whether it came to hold."""

@@ -1,0 +1,88 @@
+"""Whether what is known allows control: the link's speed against the bandwidths, battery and fence.
+
+Rules of thumb, with the numbers that the simulated vehicle gives (docs/safety.md):
+
+- an observer with bandwidth omega_o wants a sample every 2.5 / omega_o at least;
+- a law with bandwidth omega_c bears a latency of 1 / omega_c (57 degrees of phase); in flight 1.2 / omega_c
+  ends control.
+"""
+
+from __future__ import annotations
+
+from math import hypot
+
+import numpy as np
+
+from kffa_offboard.offboard import telemetry
+from kffa_offboard.offboard.events import BatteryReported, LinkMeasured
+from kffa_offboard.offboard.settings import LimitSettings, ServiceSettings
+from kffa_offboard.offboard.telemetry import Telemetry, rate_hz
+
+SAMPLES_PER_RADIAN = 0.4
+"""Samples in the time 1 / omega_o, at least."""
+
+LATENCY_TO_ENGAGE = 1.0
+LATENCY_IN_FLIGHT = 1.2
+"""Largest omega_c times latency."""
+
+
+def refusal(
+    settings: ServiceSettings,
+    known: Telemetry,
+    link: LinkMeasured | None,
+    battery: BatteryReported | None,
+    time_us: int,
+) -> str | None:
+    """Why control must not be taken, or None."""
+    return (
+        telemetry.not_ready(settings.telemetry, known, time_us)
+        or slow(settings, known, time_us)
+        or late(settings, known, link, time_us, LATENCY_TO_ENGAGE)
+        or empty(settings.limits, battery)
+    )
+
+
+def slow(settings: ServiceSettings, known: Telemetry, time_us: int) -> str | None:
+    """Too few samples for the observers, counted over the last second."""
+    observer = settings.controller.observer
+    if observer is None:
+        return None
+    bandwidths = np.abs(observer.poles).max(axis=0)
+    for name, stream, bandwidth in (
+        ("attitude", known.attitude_stream, float(bandwidths.max())),
+        ("position", known.position_stream, float(bandwidths[3])),
+    ):
+        needed, seen = SAMPLES_PER_RADIAN * bandwidth, rate_hz(stream, time_us)
+        if seen < needed:
+            return f"{name} at {seen:.0f} Hz; omega_o = {bandwidth:g} needs {needed:.0f}"
+    return None
+
+
+def late(
+    settings: ServiceSettings, known: Telemetry, link: LinkMeasured | None, time_us: int, most: float
+) -> str | None:
+    """Latency, as far as it is measured, above `most` / omega_c."""
+    law = settings.controller.law
+    latency_s = telemetry.latency_s(known, link, time_us)
+    if law is None:
+        return None
+    bandwidth = float(np.max(law.omega_c))
+    if not latency_s * bandwidth > most:  # not measured is not late
+        return None
+    return f"latency {latency_s:.2f} s; omega_c = {bandwidth:g} bears {most / bandwidth:.2f}"
+
+
+def empty(limits: LimitSettings, battery: BatteryReported | None) -> str | None:
+    """The battery is low, if the autopilot knows."""
+    if battery is None or battery.remaining_percent >= limits.battery_min_percent:
+        return None
+    return f"battery at {battery.remaining_percent:g} %, {limits.battery_min_percent:g} needed"
+
+
+def outside_fence(limits: LimitSettings, known: Telemetry, centre: tuple[float, float] | None) -> str | None:
+    """The vehicle is farther than the fence allows from `centre`, m: where control was taken."""
+    if centre is None or known.position is None:
+        return None
+    x, y, _ = known.position.position
+    away = hypot(x - centre[0], y - centre[1])
+    return f"{away:.1f} m away, fence at {limits.fence_radius_m:g}" if away > limits.fence_radius_m else None

@@ -1,0 +1,177 @@
+"""Telemetry that flows and is no single impossible sample, but does not fit together all the same.
+
+`telemetry.py` judges a sample against the one before. Here, over some time:
+
+- values that stand still to the last bit while their clock goes on: an estimator or a gateway that hangs;
+- samples that come later and later: a link whose buffers fill;
+- a rate that is not the derivative of its quantity, in attitude and in height: with a wrong body rate or
+  climb rate the observers push the vehicle away at full authority while the position looks right at first.
+
+Pure functions over a frozen `Trust`; a fault is a line for people.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import cos, exp, hypot, sin, tan
+
+from kffa_offboard.offboard.events import AttitudeReceived, PositionReceived, Vector3
+from kffa_offboard.offboard.settings import LimitSettings, TelemetrySettings
+
+DELAY_WINDOW_US = 1_000_000
+"""The smallest delay of the last one to two of these is what a sample's delay is compared with."""
+
+ANGLE_MEMORY_S = 0.5
+ANGLE_MISMATCH_RAD = 0.5
+HEIGHT_MEMORY_S = 1.0
+HEIGHT_MISMATCH_M = 2.0
+"""How much a quantity and its integrated rate may differ, in a memory that fades with this time constant: a
+rate that is wrong by e shows as e times the memory."""
+
+_STEEPEST_RAD = 1.2  # Euler rates grow beyond bounds towards 90 degrees of pitch
+
+
+@dataclass(frozen=True, slots=True)
+class Still:
+    """Values and when they arrived first, us."""
+
+    values: tuple[float, ...] = ()
+    since_us: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """Arrival time less sample time, us: smallest of this and of the former window; since when late."""
+
+    window_us: int | None = None
+    smallest_us: int = 0
+    former_us: int = 0
+    late_since_us: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Trust:
+    """What is remembered of telemetry for judging it.
+
+    Attributes
+    ----------
+    attitude, position : the last samples
+    still_attitude, still_position : since when their values are the same
+    delay : of the attitude
+    angle_mismatch : rad, roll and pitch less their integrated rates, fading
+    height_mismatch : m, the same for height
+    """
+
+    attitude: AttitudeReceived | None = None
+    position: PositionReceived | None = None
+    still_attitude: Still = Still()
+    still_position: Still = Still()
+    delay: Delay = Delay()
+    angle_mismatch: tuple[float, float] = (0.0, 0.0)
+    height_mismatch: float = 0.0
+
+
+def watch_attitude(
+    settings: TelemetrySettings,
+    limits: LimitSettings,
+    trust: Trust,
+    time_us: int,
+    event: AttitudeReceived,
+    flying: bool,
+) -> tuple[Trust, str | None]:
+    """Take in an accepted attitude; `flying`: in our hands and in the air."""
+    fastest = max(abs(rate) for rate in event.body_rates)
+    if fastest > limits.attitude_rate_max_rad_s:
+        return trust, f"body rate {fastest:.3g} rad/s, {limits.attitude_rate_max_rad_s:g} possible"
+    delay, fault = _follow_delay(settings, trust.delay, time_us, event.sample_time_us)
+    still = _stand_still(trust.still_attitude, (*event.attitude, *event.body_rates), time_us)
+    mismatch = _angle_mismatch(trust, event)
+    trust = replace(trust, attitude=event, delay=delay, still_attitude=still, angle_mismatch=mismatch)
+    if fault is not None:
+        return trust, fault
+    if flying and time_us - still.since_us > round(settings.frozen_time_s * 1e6):
+        return trust, f"attitude stands still for {settings.frozen_time_s:g} s"
+    if hypot(*mismatch) > ANGLE_MISMATCH_RAD:
+        return trust, "body rates do not fit the attitude"
+    return trust, None
+
+
+def watch_position(
+    settings: TelemetrySettings,
+    limits: LimitSettings,
+    trust: Trust,
+    time_us: int,
+    event: PositionReceived,
+    flying: bool,
+) -> tuple[Trust, str | None]:
+    """Take in an accepted position; `flying`: in our hands and in the air."""
+    climb_rate = abs(event.velocity[2])
+    if climb_rate > limits.climb_rate_max_m_s:
+        return trust, f"climb rate {climb_rate:.3g} m/s, {limits.climb_rate_max_m_s:g} allowed"
+    still = _stand_still(trust.still_position, (*event.position, *event.velocity), time_us)
+    mismatch = _height_mismatch(trust, event)
+    trust = replace(trust, position=event, still_position=still, height_mismatch=mismatch)
+    if flying and time_us - still.since_us > round(settings.frozen_time_s * 1e6):
+        return trust, f"position stands still for {settings.frozen_time_s:g} s"
+    if abs(mismatch) > HEIGHT_MISMATCH_M:
+        return trust, "climb rate does not fit the altitude"
+    return trust, None
+
+
+def _stand_still(still: Still, values: tuple[float, ...], time_us: int) -> Still:
+    return still if values == still.values else Still(values, time_us)
+
+
+def _follow_delay(
+    settings: TelemetrySettings, state: Delay, time_us: int, sample_us: int
+) -> tuple[Delay, str | None]:
+    """Late: more than `late_max_s` beyond the smallest delay lately, for longer than `timeout_s`."""
+    delay_us = time_us - sample_us
+    if state.window_us is None:
+        return Delay(time_us, delay_us, delay_us), None
+    excess_us = delay_us - min(state.smallest_us, state.former_us)
+    if excess_us > round(settings.late_max_s * 1e6):
+        since_us = time_us if state.late_since_us is None else state.late_since_us
+        fault = None
+        if time_us - since_us >= round(settings.timeout_s * 1e6):
+            fault = f"attitude comes {excess_us * 1e-6:.2f} s later than before"
+        return replace(state, late_since_us=since_us), fault
+    if time_us - state.window_us >= DELAY_WINDOW_US:
+        return Delay(time_us, delay_us, state.smallest_us), None
+    return replace(state, smallest_us=min(state.smallest_us, delay_us), late_since_us=None), None
+
+
+def _euler_rates(event: AttitudeReceived) -> tuple[float, float]:
+    """Rates of roll and pitch, rad/s (eq 6 solved for them)."""
+    (roll, pitch, _), (p, q, r) = event.attitude, event.body_rates
+    return p + tan(pitch) * (q * sin(roll) + r * cos(roll)), q * cos(roll) - r * sin(roll)
+
+
+def _angle_mismatch(trust: Trust, event: AttitudeReceived) -> tuple[float, float]:
+    last = trust.attitude
+    if last is None or max(_tilt(last.attitude), _tilt(event.attitude)) > _STEEPEST_RAD:
+        return (0.0, 0.0)
+    dt = (event.sample_time_us - last.sample_time_us) * 1e-6
+    keep, before, now = exp(-dt / ANGLE_MEMORY_S), _euler_rates(last), _euler_rates(event)
+    roll, pitch = (
+        keep * trust.angle_mismatch[k]
+        + event.attitude[k]
+        - last.attitude[k]
+        - 0.5 * dt * (before[k] + now[k])
+        for k in (0, 1)
+    )
+    return (roll, pitch)
+
+
+def _tilt(attitude: Vector3) -> float:
+    return max(abs(attitude[0]), abs(attitude[1]))
+
+
+def _height_mismatch(trust: Trust, event: PositionReceived) -> float:
+    last = trust.position
+    if last is None:
+        return 0.0
+    dt = (event.sample_time_us - last.sample_time_us) * 1e-6
+    moved = event.position[2] - last.position[2]
+    reckoned = 0.5 * dt * (last.velocity[2] + event.velocity[2])
+    return exp(-dt / HEIGHT_MEMORY_S) * trust.height_mismatch + moved - reckoned
