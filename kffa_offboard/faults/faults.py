@@ -2,7 +2,8 @@
 
 A fault takes one frame with its arrival time and gives back what arrives instead: nothing, the same, another,
 or several, at once or later. Faults are put in a row (`line.FaultLine`), each works on what the one before
-lets through. They hold what they remember and draw from the generator that they are given, so a seed repeats them.
+lets through. They hold what they remember and draw from the generator that they are given: a seed repeats
+them.
 """
 
 from __future__ import annotations

@@ -18,6 +18,9 @@ from kffa_offboard.offboard.events import LinkMeasured
 
 REQUEST_PERIOD_US = 500_000
 WINDOW = 10
+USUAL = 3
+"""The usual round trip is the median of so many: a link that becomes slow is noticed within 1 s."""
+
 LONGEST_ROUND_TRIP_US = 1_000_000
 RESTART_US = 100_000
 """An answer that contradicts the estimate by more than this, beyond its round trip, begins a new one."""
@@ -46,7 +49,8 @@ class ClockEstimate:
         if not self.exchanges:
             return None
         best = min(self.exchanges, key=lambda exchange: exchange.round_trip_us)
-        return LinkMeasured(best.offset_us, median(each.round_trip_us for each in self.exchanges) * 1e-6)
+        newest = self.exchanges[-USUAL:]
+        return LinkMeasured(best.offset_us, median(each.round_trip_us for each in newest) * 1e-6)
 
 
 def timesync_request(time_us: int) -> Message:

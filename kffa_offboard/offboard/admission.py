@@ -9,7 +9,7 @@ Rules of thumb, with the numbers that the simulated vehicle gives (docs/safety.m
 
 from __future__ import annotations
 
-from math import hypot
+from math import hypot, isnan
 
 import numpy as np
 
@@ -61,13 +61,17 @@ def slow(settings: ServiceSettings, known: Telemetry, time_us: int) -> str | Non
 def late(
     settings: ServiceSettings, known: Telemetry, link: LinkMeasured | None, time_us: int, most: float
 ) -> str | None:
-    """Latency, as far as it is measured, above `most` / omega_c."""
+    """Latency, as far as it is measured, above `most` / omega_c.
+
+    It is the round trip at least, of which half is an underestimate when commands alone come late.
+    """
     law = settings.controller.law
     latency_s = telemetry.latency_s(known, link, time_us)
-    if law is None:
+    if law is None or link is None or isnan(latency_s):
         return None
+    latency_s = max(latency_s, link.round_trip_s)
     bandwidth = float(np.max(law.omega_c))
-    if not latency_s * bandwidth > most:  # not measured is not late
+    if latency_s * bandwidth <= most:
         return None
     return f"latency {latency_s:.2f} s; omega_c = {bandwidth:g} bears {most / bandwidth:.2f}"
 

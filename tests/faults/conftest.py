@@ -98,7 +98,7 @@ class Flight:
     down: tuple = ()
     up: tuple = ()
     vehicle_changes: dict = field(default_factory=dict)
-    daemon_changes: dict = field(default_factory=dict)
+    settle_s: float = 1.0
     acts: dict = field(default_factory=dict)  # time [s] -> what is done to the vehicle
     seconds: float = 6.0
     heard: list = field(default_factory=list)
@@ -111,7 +111,8 @@ class Flight:
             bundled(f"demo-{self.personality}.toml"),
             Overrides(controller=None, output=None, arm=True, engage=True),
         )
-        settings = replace(daemon.service, scenario=(Hold(1000.0),), **self.daemon_changes)
+        quick = replace(daemon.service.telemetry, settle_time_s=self.settle_s)
+        settings = replace(daemon.service, scenario=(Hold(1000.0),), telemetry=quick)
         self.settings = settings
         self.vehicle = hovering(self.personality, self.vehicle_changes)
         stop = threading.Event()

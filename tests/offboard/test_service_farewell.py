@@ -30,7 +30,7 @@ def test_the_last_setpoint_of_a_failsafe_in_the_air_is_level_with_the_thrust_tha
     assert flight.service.state is State.FAILSAFE
     farewell = flight.sent(AttitudeTarget)[before:][-1][1]
     assert farewell.body_rates is None
-    assert farewell.attitude == (0.0, 0.0, flight.vehicle.attitude[2])
+    assert farewell.attitude == pytest.approx((0.0, 0.0, flight.vehicle.attitude[2]))
     assert farewell.thrust == pytest.approx(carried, abs=0.02)
 
 

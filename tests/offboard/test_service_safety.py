@@ -237,7 +237,7 @@ def test_tilt_out_of_limits_is_a_failsafe(fake):
         if not isinstance(event, events.AttitudeReceived):
             return event
         rolling[0] += 0.05
-        return replace(event, attitude=(rolling[0], 0.0, 0.0))
+        return replace(event, attitude=(rolling[0], 0.0, 0.0), body_rates=(5.0, 0.0, 0.0))
 
     flight.change = roll
     flight.run(0.5)
@@ -309,7 +309,9 @@ def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeyp
 def test_a_takeoff_that_gets_stuck_is_a_failsafe(fake):
     flight = fake.Lockstep(fake.settings(scenario=(Takeoff(5.0),)), fake.airborne()).run_to(State.ENGAGED)
     flight.change = lambda event: (
-        replace(event, position=(0.0, 0.0, 3.0)) if isinstance(event, events.PositionReceived) else event
+        replace(event, position=(0.0, 0.0, 3.0), velocity=(0.0, event.velocity[1], 0.0))
+        if isinstance(event, events.PositionReceived)
+        else event
     )
     flight.run(20.0, lambda: flight.service.finished is not None)
     assert flight.service.finished.reason.startswith("failsafe: take-off stuck at 3.0 of 5.0 m")
@@ -342,17 +344,17 @@ def test_an_autopilot_that_restarts_is_observed_anew(fake):
 
 def test_the_last_setpoint_is_repeated_while_telemetry_is_slow(fake):
     settings = fake.settings()
-    slow = replace(settings.telemetry, timeout_s=1.0)
+    slow = replace(settings.telemetry, timeout_s=0.8)
     flight = hovering(fake, telemetry=slow)
     last_us = flight.time_us
     flight.mute = {events.AttitudeReceived}
-    flight.run(0.9)
+    flight.run(0.7)
     sent = flight.sent(AttitudeTarget)
-    assert [(time - last_us) * 1e-6 for time, _ in sent] == pytest.approx([0.2, 0.4, 0.6, 0.8])
+    assert [(time - last_us) * 1e-6 for time, _ in sent] == pytest.approx([0.2, 0.4, 0.6])
     assert len({target for _, target in sent}) == 1
     flight.run(2.0)
     assert flight.service.state is State.FAILSAFE
-    assert (flight.sent(AttitudeTarget)[-1][0] - last_us) * 1e-6 == pytest.approx(1.0)  # the farewell
+    assert (flight.sent(AttitudeTarget)[-1][0] - last_us) * 1e-6 == pytest.approx(0.8)  # the farewell
 
 
 def test_the_own_heartbeat_goes_out_once_a_second_from_the_first_call_on(fake):

@@ -1,0 +1,128 @@
+"""Each fault of the link, in flight on the simulated vehicle: what is announced, when, and how it flies on.
+
+Bounds are those of docs/safety.md.
+"""
+
+from math import inf, isfinite, nan
+
+import pytest
+
+from kffa_offboard.faults.faults import (
+    Corrupt,
+    Delay,
+    Duplicate,
+    Freeze,
+    Lose,
+    Offset,
+    Overwrite,
+    ShiftClock,
+    Thin,
+)
+
+AT = 3.2  # s; the daemon is engaged at 3.02
+ATTITUDE, POSITION, HEARTBEAT = ("ATTITUDE",), ("LOCAL_POSITION_NED",), ("HEARTBEAT",)
+PERIOD = 0.02
+
+ENDS = {  # fault, longest time until control is given up [s], reason
+    "lost": (Lose(AT), 0.25, "no attitude for 0.25 s"),
+    "position-lost": (Lose(AT, messages=POSITION), 0.25, "no position for 0.25 s"),
+    "attitude-lost": (Lose(AT, messages=ATTITUDE), 0.25, "no attitude for 0.25 s"),
+    "heartbeat-lost": (Lose(AT, messages=HEARTBEAT), 3.0, "no heartbeat for 3 s"),
+    "late": (Delay(AT, delay_s=0.2), 0.45, "later than before"),
+    "very-late": (Delay(AT, delay_s=0.4), 0.25, "no attitude for 0.25 s"),
+    "frozen": (Freeze(AT, messages=ATTITUDE + POSITION), 0.5, "stands still for 0.5 s"),
+    "attitude-frozen": (Freeze(AT, messages=ATTITUDE), 0.5, "attitude stands still for 0.5 s"),
+    "position-frozen": (Freeze(AT, messages=POSITION), 0.5, "position stands still for 0.5 s"),
+    "time-back": (ShiftClock(AT, offset_s=-1.0), 0.25, "samples with a standing clock"),
+    "time-forward": (ShiftClock(AT, offset_s=2.0), PERIOD, "s between samples"),
+    "not-a-number": (
+        Overwrite(AT, messages=ATTITUDE, values={"roll": nan}),
+        PERIOD,
+        "attitude is not finite",
+    ),
+    "infinite": (Overwrite(AT, messages=POSITION, values={"z": inf}), PERIOD, "position is not finite"),
+    "attitude-jump": (Offset(AT, messages=ATTITUDE, values={"pitch": 0.6}), PERIOD, "attitude jumped"),
+    "altitude-jump": (Offset(AT, messages=POSITION, values={"z": -3.0}), PERIOD, "altitude jumped"),
+    "body-rate-huge": (Overwrite(AT, messages=ATTITUDE, values={"rollspeed": 1e30}), PERIOD, "body rate"),
+    "body-rate-wrong": (Overwrite(AT, messages=ATTITUDE, values={"rollspeed": 3.0}), 0.5, "do not fit"),
+    "climb-rate-huge": (Overwrite(AT, messages=POSITION, values={"vz": 100.0}), PERIOD, "climb rate"),
+    "climb-rate-wrong": (Offset(AT, messages=POSITION, values={"vz": 6.0}), 1.0, "does not fit"),
+    "tenth-of-rate": (Thin(AT, messages=ATTITUDE + POSITION), 1.0, "Hz; omega_o = 50 needs 20"),
+}
+KEPT = {  # fault, and how far from its height the vehicle may move [m]
+    "none": (None, 0.05),
+    "a-third-lost": (Lose(AT, messages=ATTITUDE + POSITION, share=0.3), 0.1),
+    "a-short-burst": (Lose(AT, 0.2), 0.1),
+    "duplicated": (Duplicate(AT, copies=2), 0.05),
+    "reordered": (Delay(AT, delay_s=0.0, jitter_s=0.06), 0.3),
+    "corrupted": (Corrupt(AT, messages=ATTITUDE + POSITION, share=0.3), 0.1),
+    "third-of-rate": (Thin(AT, messages=ATTITUDE + POSITION, keep_every=3), 0.1),
+    "acks-lost": (Lose(messages=("COMMAND_ACK",)), 0.1),
+}
+
+
+def assert_only_fit_commands(flight):
+    limits = flight.settings.limits
+    for _, target in flight.targets:
+        numbers = (target.thrust, *(target.body_rates or ()), *(target.attitude or ()))
+        assert all(isfinite(number) for number in numbers)
+        assert 0.0 <= target.thrust <= limits.thrust_max
+        for rate, most in zip(target.body_rates or (), limits.body_rate_max_rad_s, strict=False):
+            assert abs(rate) <= most
+
+
+@pytest.mark.parametrize("name", ENDS)
+def test_control_ends_in_time_with_the_reason_and_one_level_setpoint(fault_flight, name):
+    fault, most, reason = ENDS[name]
+    flight = fault_flight(down=(fault,), seconds=AT + most + 0.4).fly()
+    assert flight.released_s is not None and flight.released_s <= AT + most + 0.021, flight.texts
+    assert any(text.startswith("failsafe: ") and reason in text for text in flight.texts), flight.texts
+    assert reason in flight.status_texts
+    assert_only_fit_commands(flight)
+    last_us, last = flight.targets[-1]
+    assert last_us <= flight.released_s * 1e6 + 10_001
+    assert last.attitude is not None and last.attitude[:2] == (0.0, 0.0)
+    until = [k for k, (time_us, _) in enumerate(flight.states) if time_us <= flight.released_s * 1e6]
+    assert max(flight.tilts[: len(until)]) < 0.3
+    assert max(abs(height - 5.0) for height in flight.heights[: len(until)]) < 1.0
+
+
+@pytest.mark.parametrize("name", KEPT)
+def test_control_is_kept_and_the_vehicle_stays(fault_flight, name):
+    fault, most = KEPT[name]
+    flight = fault_flight(down=() if fault is None else (fault,), seconds=AT + 1.8).fly()
+    assert flight.engaged_s is not None and flight.released_s is None, flight.texts
+    assert_only_fit_commands(flight)
+    assert max(abs(height - 5.0) for height in flight.heights) < most + 0.05
+    assert max(flight.tilts) < 0.1
+
+
+def test_commands_that_come_late_end_control_once_the_round_trip_shows_it(fault_flight):
+    flight = fault_flight(up=(Delay(AT, delay_s=0.2),), seconds=AT + 2.5).fly()
+    assert flight.released_s is not None and flight.released_s <= AT + 2.0, flight.texts
+    assert "failsafe: latency" in " ".join(flight.texts)
+    assert_only_fit_commands(flight)
+
+
+@pytest.mark.parametrize(
+    ("personality", "act", "reason"),
+    [
+        ("px4", lambda vehicle: vehicle.firmware.set_custom_mode(3 << 16), "control given up: mode POSCTL"),
+        ("ardupilot", lambda vehicle: vehicle.firmware.set_custom_mode(5), "control given up: mode LOITER"),
+        ("px4", lambda vehicle: vehicle.firmware.disarm(True), "control given up: disarmed"),
+    ],
+)
+def test_the_pilot_wins_and_not_one_setpoint_follows(fault_flight, personality, act, reason):
+    """PX4 tells of it with its next heartbeat, up to 1 s later."""
+    flight = fault_flight(personality, acts={AT: act}, seconds=AT + 1.5).fly()
+    assert reason in flight.texts
+    assert flight.released_s <= AT + 1.1
+    assert flight.targets[-1][0] <= flight.released_s * 1e6
+
+
+def test_an_autopilot_that_restarts_in_flight_ends_control(fault_flight):
+    """Its clock begins anew and it is disarmed."""
+    disarmed = Overwrite(AT, messages=HEARTBEAT, values={"base_mode": 81})
+    flight = fault_flight(down=(ShiftClock(AT, offset_s=-AT), disarmed), seconds=AT + 1.0).fly()
+    assert flight.released_s <= AT + 0.3
+    assert_only_fit_commands(flight)

@@ -1,0 +1,97 @@
+"""Control is not taken, or is given up, when link, battery or place do not allow it, and it is said why."""
+
+from dataclasses import replace
+
+import pytest
+
+from kffa_offboard.offboard import events
+from kffa_offboard.offboard.segments import Hold
+from kffa_offboard.offboard.service import State
+
+HOLD = (Hold(100.0),)
+
+
+def ready(fake, **changes):
+    flight = fake.Lockstep(fake.settings(engage=False, scenario=HOLD, **changes), fake.airborne())
+    return flight.run_to(State.READY)
+
+
+def refusal_of(flight):
+    flight.give(events.EngageRequested())
+    return flight.texts[-1]
+
+
+def test_a_low_battery_forbids_engaging(fake):
+    flight = ready(fake)
+    flight.give(events.BatteryReported(19.0))
+    assert refusal_of(flight) == "not engaged: battery at 19 %, 20 needed"
+    flight.give(events.BatteryReported(20.0))
+    assert refusal_of(flight) == "engaging in the air"
+
+
+def test_a_battery_that_runs_low_in_flight_is_said_once_and_left_to_the_autopilot(fake):
+    flight = ready(fake)
+    flight.give(events.EngageRequested())
+    flight.run_to(State.ENGAGED)
+    for _ in range(3):
+        flight.give(events.BatteryReported(10.0))
+        flight.run(0.1)
+    assert flight.texts.count("battery low") == 1 and flight.service.state is State.ENGAGED
+
+
+def test_telemetry_that_became_slow_after_ready_forbids_engaging(fake):
+    """It is judged at the moment of engaging, not when "ready" was said."""
+    flight = ready(fake)
+    kept = [0]
+
+    def every_fifth(event):
+        if not isinstance(event, events.AttitudeReceived):
+            return event
+        kept[0] += 1
+        return event if kept[0] % 5 == 0 else events.StatusReceived(6, "")
+
+    flight.change = every_fifth
+    flight.run(1.2)
+    assert flight.service.state is State.READY
+    assert refusal_of(flight) == "not engaged: attitude telemetry 20 Hz, 40 needed"
+
+
+def test_a_latency_that_the_bandwidth_does_not_bear_forbids_engaging(fake):
+    flight = ready(fake)
+    flight.give(events.LinkMeasured(0, 0.5))
+    assert refusal_of(flight).startswith("not engaged: latency 0.50 s; omega_c = 6 bears 0.17")
+
+
+def test_leaving_the_fence_is_a_failsafe(fake):
+    limits = replace(fake.settings().limits, fence_radius_m=20.0)
+    flight = ready(fake, limits=limits)
+    flight.give(events.EngageRequested())
+    flight.run_to(State.ENGAGED)
+    away = [0.0]
+
+    def drift(event):
+        if not isinstance(event, events.PositionReceived):
+            return event
+        away[0] += 0.1
+        return replace(event, position=(away[0], 0.0, event.position[2]))
+
+    flight.change = drift
+    flight.run(3.0, lambda: flight.service.state is State.FAILSAFE)
+    assert "failsafe: 20.0 m away, fence at 20" in flight.texts
+    assert away[0] == pytest.approx(20.1, abs=0.15)
+
+
+@pytest.mark.parametrize(
+    ("kind", "change", "reason"),
+    [
+        (events.AttitudeReceived, {"body_rates": (0.0, 10.5, 0.0)}, "body rate 10.5 rad/s, 10 possible"),
+        (events.PositionReceived, {"velocity": (0.0, 0.0, -12.0)}, "climb rate 12 m/s, 10 allowed"),
+    ],
+)
+def test_rates_out_of_limits_are_a_failsafe_within_the_same_call(fake, kind, change, reason):
+    flight = ready(fake)
+    flight.give(events.EngageRequested())
+    flight.run_to(State.ENGAGED)
+    flight.change = lambda event: replace(event, **change) if isinstance(event, kind) else event
+    flight.tick()
+    assert flight.service.state is State.FAILSAFE and f"failsafe: {reason}" in flight.texts
