@@ -17,6 +17,7 @@ from sim_vehicle import payload
 from sim_vehicle.config_backend import PHYSICS_STEP_S, BackendSection
 from sim_vehicle.config_base import NotNegative, Section
 from sim_vehicle.config_errors import describe
+from sim_vehicle.config_faults import FaultsSection
 from sim_vehicle.endpoints import parse_endpoint
 from sim_vehicle.errors import SimulatorError
 from sim_vehicle.parameter_tables import ARDUPILOT, PX4
@@ -147,6 +148,8 @@ class PayloadSection(Section):
     """[payload]: what the gripper holds, where, and when it comes and goes by itself."""
 
     offset_m: Vector3 = payload.DEFAULT_OFFSET
+    rope_length_m: NotNegative = 0.0
+    """The load swings on a rope of this length below the centre; 0: it is held rigidly at offset_m."""
     gripper_mass_kg: float = 5.0
     clock: Literal["airborne", "boot"] = "airborne"
     schedule: tuple[LoadChange, ...] = ()
@@ -182,6 +185,7 @@ class SimConfig(Section):
     wind: WindSection = WindSection()
     environment: EnvironmentSection = EnvironmentSection()
     payload: PayloadSection = PayloadSection()
+    faults: FaultsSection = FaultsSection()
     lockstep: LockstepSection = LockstepSection()
     backend: BackendSection = BackendSection()
     parameters: dict[str, float | int] = Field(default_factory=dict)

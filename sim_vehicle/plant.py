@@ -7,14 +7,18 @@ Motor commands in, true states out, at a fixed step and without clock or sockets
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
-from sim_vehicle import airframe, environment
+from sim_vehicle import airframe, environment, faults
 from sim_vehicle.config import SimConfig
+from sim_vehicle.config_faults import FaultsSection
 from sim_vehicle.frames import Array
+from sim_vehicle.payload import check_load_mass
 from sim_vehicle.proximity import Proximity
+from sim_vehicle.swing import Rope
 from sim_vehicle.truth import TruthRecorder
 
 AIRBORNE_HEIGHT = 0.1
@@ -50,6 +54,9 @@ class Plant:
         self._wind = _wind(config)
         self._wind_generator = wind_generator
         self._gust = np.zeros(3)
+        self._faults = config.faults
+        self._rope = Rope(config.payload.rope_length_m)
+        self._faulty = config.faults != FaultsSection()
 
     def step(self, motor_commands: Array) -> None:
         """One physics step with commands (4,), 0..1, held over it (see `airframe.step`)."""
@@ -57,17 +64,34 @@ class Plant:
         self._gust, surroundings = environment.advance(
             self._wind, self._gust, self.time_us * 1e-6, self._wind_generator, self.dt
         )
+        if self._faulty:
+            now_s = self.time_us * 1e-6
+            motor_commands = faults.motor_commands(self._faults, now_s, motor_commands)
+            felt = surroundings.wind_velocity + faults.wind(self._faults, now_s)
+            surroundings = replace(surroundings, wind_velocity=felt)
+        if self._rope.mass_kg > 0.0:
+            pull = self._rope.step(self.body, self.state.rigid, self.dt)
+            surroundings = replace(surroundings, force=surroundings.force + pull)
         self.state = airframe.step(self.body, self.state, motor_commands, surroundings, self.dt)
         self.time_us += self.step_us
 
     def set_load(self, mass_kg: float) -> None:
         """Carry a load of `mass_kg` from now on; 0 drops it. ValueError if there can be no such load."""
-        before = float(np.asarray(self.state.load_mass))
+        before = self.load_kg
         if mass_kg == before:
             return
-        self.state = airframe.with_load(self.state, mass_kg)
+        if self._rope.length > 0.0:
+            check_load_mass(mass_kg)
+            self._rope.hang(mass_kg, self.state.velocity)
+        else:
+            self.state = airframe.with_load(self.state, mass_kg)
         word = "pick-up" if mass_kg > before else "drop"
         self.truth.event(self.time_us, f"{word} {abs(mass_kg - before):.6g} kg")
+
+    @property
+    def load_kg(self) -> float:
+        """What is carried, rigidly or on a rope."""
+        return float(np.asarray(self.state.load_mass)) + self._rope.mass_kg
 
     def work_gripper(self, action: Literal["grab", "release"]) -> None:
         """Close the gripper round the configured load, or open it."""
@@ -79,7 +103,7 @@ class Plant:
             self.time_us,
             self.state.rigid.tolist(),
             float(self.state.motor_thrust.sum()),
-            float(np.asarray(self.state.load_mass)),
+            self.load_kg,
             armed,
             mode_name,
         )
