@@ -36,6 +36,7 @@ class FaultProxy:
         self._daemon = (HOST, daemon_port)
         self._down, self._up = down, up
         self._vehicle: tuple[str, int] | None = None
+        self._origin_us = time.monotonic_ns() // 1000
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="fault-proxy", daemon=True)
 
@@ -51,9 +52,15 @@ class FaultProxy:
         """Where the vehicle sends to."""
         return int(self._vehicle_side.getsockname()[1])
 
+    @property
+    def elapsed_s(self) -> float:
+        """The clock of the faults."""
+        return (time.monotonic_ns() // 1000 - self._origin_us) * 1e-6
+
     @contextlib.contextmanager
     def running(self) -> Iterator[FaultProxy]:
         """Pass datagrams on until the block ends."""
+        self._origin_us = time.monotonic_ns() // 1000
         self._thread.start()
         try:
             yield self
@@ -64,10 +71,9 @@ class FaultProxy:
             self._daemon_side.close()
 
     def _run(self) -> None:
-        origin = time.monotonic_ns() // 1000
         while not self._stop.is_set():
             ready, _, _ = select.select([self._vehicle_side, self._daemon_side], [], [], LONGEST_SLEEP_S)
-            now_us = time.monotonic_ns() // 1000 - origin
+            now_us = time.monotonic_ns() // 1000 - self._origin_us
             if self._vehicle_side in ready:
                 for data, source in self._received(self._vehicle_side):
                     self._vehicle = source

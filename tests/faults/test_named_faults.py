@@ -6,11 +6,13 @@ Bounds are those of docs/safety.md.
 from math import inf, isfinite, nan
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.faults.faults import (
     Corrupt,
     Delay,
     Duplicate,
+    Flood,
     Freeze,
     Lose,
     Offset,
@@ -22,6 +24,15 @@ from kffa_offboard.faults.faults import (
 AT = 3.2  # s; the daemon is engaged at 3.02
 ATTITUDE, POSITION, HEARTBEAT = ("ATTITUDE",), ("LOCAL_POSITION_NED",), ("HEARTBEAT",)
 PERIOD = 0.02
+
+
+def frames(system, *messages):
+    packer = mavlink.MAVLink(None, system, 1)
+    return tuple(bytes(message.pack(packer)) for message in messages)
+
+
+ATTITUDE_OF_OLD = mavlink.MAVLink_attitude_message(100, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+IRRELEVANT = mavlink.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
 ENDS = {  # fault, longest time until control is given up [s], reason
     "lost": (Lose(AT), 0.25, "no attitude for 0.25 s"),
@@ -47,6 +58,7 @@ ENDS = {  # fault, longest time until control is given up [s], reason
     "body-rate-wrong": (Overwrite(AT, messages=ATTITUDE, values={"rollspeed": 3.0}), 0.5, "do not fit"),
     "climb-rate-huge": (Overwrite(AT, messages=POSITION, values={"vz": 100.0}), PERIOD, "climb rate"),
     "climb-rate-wrong": (Offset(AT, messages=POSITION, values={"vz": 6.0}), 1.0, "does not fit"),
+    "flooded-with-samples": (Flood(AT, frames=frames(1, ATTITUDE_OF_OLD)), PERIOD, "standing clock"),
     "tenth-of-rate": (Thin(AT, messages=ATTITUDE + POSITION), 1.0, "Hz; omega_o = 50 needs 20"),
 }
 KEPT = {  # fault, and how far from its height the vehicle may move [m]
@@ -57,6 +69,8 @@ KEPT = {  # fault, and how far from its height the vehicle may move [m]
     "reordered": (Delay(AT, delay_s=0.0, jitter_s=0.06), 0.3),
     "corrupted": (Corrupt(AT, messages=ATTITUDE + POSITION, share=0.3), 0.1),
     "third-of-rate": (Thin(AT, messages=ATTITUDE + POSITION, keep_every=3), 0.1),
+    "flooded-by-another-system": (Flood(AT, 0.5, frames=frames(77, ATTITUDE_OF_OLD)), 0.05),
+    "flooded-with-what-nobody-needs": (Flood(AT, 0.5, frames=frames(1, IRRELEVANT)), 0.05),
     "acks-lost": (Lose(messages=("COMMAND_ACK",)), 0.1),
 }
 

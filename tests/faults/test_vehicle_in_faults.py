@@ -1,6 +1,5 @@
 """What breaks on the vehicle, in flight: control is kept, and the vehicle stays within these bounds."""
 
-import numpy as np
 import pytest
 
 AT = 3.2
@@ -39,5 +38,3 @@ def test_the_vehicle_stays_within_its_bounds(fault_flight, name):
     assert lowest < min(flight.heights) and max(flight.heights) < highest
     assert max(flight.tilts) < most
     assert abs(flight.heights[-1] - 5.0) < 0.3
-    if name == "swinging-load":
-        assert np.hypot(*flight.vehicle.plant._rope.offset[:2]) > 0.05 or max(flight.tilts) > 0.0
