@@ -123,6 +123,8 @@ def _check_rates(
 def _check_attitude(limits: LimitSettings, wanted: Vector3, previous: Vector3 | None, dt: float) -> Vector3:
     """Bound the change of attitude, then its tilt (the heading taken the short way)."""
     roll, pitch, yaw = wanted
+    if abs(yaw) > pi:
+        yaw = (yaw + pi) % (2.0 * pi) - pi
     if previous is not None:
         bounds = limits.body_rate_max_rad_s
         roll = _slew(roll, previous[0], bounds[0] * dt)

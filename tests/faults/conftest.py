@@ -83,6 +83,8 @@ def hovering(personality, changes):
     share = vehicle.body.hover_thrust() * vehicle.body.motor_max_thrust
     vehicle.state = replace(airframe.initial_state(rigid), motor_thrust=vehicle.state.motor_thrust + share)
     vehicle.firmware.armed = vehicle.firmware.flown = True
+    vehicle.firmware.armed_at_us = -60_000_000
+    vehicle.firmware._spool = 1.0  # of ArduCopter: its motors run
     vehicle.firmware.land = land_detector.LandState(False, 0.0, 0.0)
     vehicle.advance(SLOT_US)
     vehicle.firmware.set_custom_mode(4 << 16 | 5 << 24 if personality == "px4" else 9)

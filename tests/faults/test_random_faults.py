@@ -143,7 +143,7 @@ def budget(examples):
 mixtures = given(st.lists(faults(), min_size=1, max_size=3), st.lists(faults(), max_size=1), acts)
 
 
-@budget(40)
+@budget(30)
 @mixtures
 def test_any_mixture_of_faults(fault_flight, down, up, act):
     fly_and_check(fault_flight, down, up, act)
