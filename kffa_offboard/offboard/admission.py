@@ -90,3 +90,18 @@ def outside_fence(limits: LimitSettings, known: Telemetry, centre: tuple[float, 
     x, y, _ = known.position.position
     away = hypot(x - centre[0], y - centre[1])
     return f"{away:.1f} m away, fence at {limits.fence_radius_m:g}" if away > limits.fence_radius_m else None
+
+
+def grounded(settings: ServiceSettings, known: Telemetry, time_us: int) -> bool | None:
+    """Is the vehicle on the ground? None if that cannot be told: then there is no engaging."""
+    if known.heartbeat is None:
+        return None
+    if not known.heartbeat.armed:
+        return True
+    thrust = telemetry.reported_thrust(settings.telemetry, known, time_us)
+    little = settings.flight.touchdown_thrust_fraction * settings.hover_thrust
+    if known.on_ground is None:
+        return None if thrust is None else thrust < little
+    if known.on_ground and thrust is not None and thrust >= little:
+        return None
+    return known.on_ground

@@ -112,18 +112,7 @@ class Session:
 
     def _grounded(self, time_us: int) -> bool | None:
         """Is the vehicle on the ground? None if that cannot be told: then there is no engaging."""
-        known = self._known
-        if known.heartbeat is None:
-            return None
-        if not known.heartbeat.armed:
-            return True
-        thrust = telemetry.reported_thrust(self.settings.telemetry, known, time_us)
-        little = self.settings.flight.touchdown_thrust_fraction * self.settings.hover_thrust
-        if known.on_ground is None:
-            return None if thrust is None else thrust < little
-        if known.on_ground and thrust is not None and thrust >= little:
-            return None
-        return known.on_ground
+        return admission.grounded(self.settings, self._known, time_us)
 
     def _refusal(self, time_us: int) -> str | None:
         """Why control cannot be taken now."""
