@@ -43,7 +43,8 @@ class Drifter:
             self.velocity = self.velocity + total * 0.01
         self.history.append(tuple(self.place))
         (_, _, z), (_, _, climb) = event.position, event.velocity
-        return replace(event, position=(*self.place, z), velocity=(*self.velocity, climb))
+        tiny = 1e-9 * (len(self.history) % 2)  # no sensor repeats itself to the last bit
+        return replace(event, position=(*(self.place + tiny), z), velocity=(*self.velocity, climb))
 
 
 def flight_of(fake, settings, vehicle=None, **changes):
