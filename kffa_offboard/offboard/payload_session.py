@@ -26,8 +26,9 @@ from kffa_offboard.offboard.payload import (
 from kffa_offboard.offboard.release import ReleasePlan, altitude_disturbance, plan_release, with_altitude_step
 from kffa_offboard.offboard.segments import Land
 from kffa_offboard.offboard.sequence import microseconds
-from kffa_offboard.offboard.session import SENDING, Session, State
+from kffa_offboard.offboard.session import Session
 from kffa_offboard.offboard.settings import ServiceSettings
+from kffa_offboard.offboard.state import SENDING, State
 
 GripperAction = Literal["grab", "release"]
 

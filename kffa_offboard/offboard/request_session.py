@@ -14,7 +14,7 @@ from kffa_offboard.offboard.flight import Directive, Phase
 from kffa_offboard.offboard.payload_session import PayloadSession
 from kffa_offboard.offboard.reference import current_segment
 from kffa_offboard.offboard.segments import External
-from kffa_offboard.offboard.session import SENDING, State
+from kffa_offboard.offboard.state import SENDING, State
 from kffa_offboard.offboard.tuning import adopt
 
 

@@ -34,8 +34,8 @@ from kffa_offboard.offboard.sequence import (
     mode_granted,
     retry_due,
 )
-from kffa_offboard.offboard.session import IDLE, SENDING, Finished, State
 from kffa_offboard.offboard.settings import ServiceSettings
+from kffa_offboard.offboard.state import IDLE, SENDING, Finished, State
 
 __all__ = ["Finished", "Service", "State"]
 

@@ -6,8 +6,7 @@ control steps. Everything that changes `state` is here, except waiting -> ready.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from enum import Enum
+from dataclasses import replace
 
 from kffa_offboard.offboard import admission, events, parameters, sequence, telemetry
 from kffa_offboard.offboard.events import Announce, ModeKind, Output, SetArmed, SetMode, Severity
@@ -26,30 +25,8 @@ from kffa_offboard.offboard.loop import LoopState, forget_sent
 from kffa_offboard.offboard.segments import Land, starts_on_ground
 from kffa_offboard.offboard.sequence import Engagement, EngagePhase, EngageStep, Retry, begin_retry
 from kffa_offboard.offboard.settings import ServiceSettings
+from kffa_offboard.offboard.state import IDLE, REFUSED, SENDING, Finished, State
 from kffa_offboard.offboard.trust import Trust
-
-
-class State(Enum):
-    """Where the service is."""
-
-    WAITING = "waiting"
-    READY = "ready"
-    ENGAGING = "engaging"
-    ENGAGED = "engaged"
-    RELEASING = "releasing"
-    FAILSAFE = "failsafe"
-
-
-SENDING = frozenset({State.ENGAGING, State.ENGAGED, State.RELEASING})
-IDLE = frozenset({State.WAITING, State.READY})
-
-
-@dataclass(frozen=True, slots=True)
-class Finished:
-    """The service has done what it was started for, or has given up; it will not take control again."""
-
-    successful: bool
-    reason: str
 
 
 class Session:
@@ -213,13 +190,22 @@ class Session:
                 elif not offboard or event.custom_mode != self._offboard_mode:
                     self._take_over(f"mode {event.mode_name}")
             case State.RELEASING:
-                if not offboard or not event.armed:
+                if not event.armed:
                     self._finish(self._outcome)
+                elif not (offboard or (self._lands_to_disarm and event.mode is ModeKind.LAND)):
+                    self._finish(REFUSED if self._lands_to_disarm else self._outcome)
             case State.FAILSAFE:
                 if self._retry is not None and (not offboard or not event.armed):
                     self._finish(self._outcome)
             case _:
                 pass
+
+    @property
+    def _lands_to_disarm(self) -> bool:
+        """Disarming was refused, and LAND mode has the time of another disarming to do it by itself."""
+        retry = self._retry
+        asks = retry is not None and retry.request == SetMode(ModeKind.LAND)
+        return self.state is State.RELEASING and self._armed_here and asks
 
     def _disarmed_in_flight(self) -> None:
         """The autopilot's own disarming after landing is no surprise; any other is somebody's decision."""
@@ -338,13 +324,15 @@ class Session:
             return
         timing = self.settings.sequence
         request, outcome = self._retry.request, self._outcome
-        if self.state is State.FAILSAFE or self._retry.accepted_us is not None:
+        if self._lands_to_disarm:
+            self._finish(REFUSED)
+        elif self.state is State.FAILSAFE or self._retry.accepted_us is not None:
             self._finish(outcome)
         elif isinstance(request, SetArmed):
             self._say(Severity.CRITICAL, "still armed on the ground: keep away")
             land = SetMode(ModeKind.LAND)
-            retry = begin_retry(land, time_us, timing.hold_retry_s, timing.hold_timeout_s)
-            self._begin_release(time_us, retry, Finished(False, "disarming was refused"))
+            retry = begin_retry(land, time_us, timing.hold_retry_s, timing.disarm_timeout_s)
+            self._begin_release(time_us, retry, outcome)
         else:
             reason = f"{request.mode.name} not confirmed; setpoints stopped"
             self._say_farewell()

@@ -180,6 +180,31 @@ def test_a_vehicle_that_cannot_be_disarmed_is_left_in_land_mode_with_a_warning(f
     assert flight.vehicle.mode is ModeKind.LAND
 
 
+def land_after_refusal(fake):
+    """A landing whose disarming is refused, up to LAND mode."""
+    flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
+    flight.run(6.0)
+    flight.vehicle.grants_arming = False
+    flight.run(40.0, lambda: flight.vehicle.mode is ModeKind.LAND)
+    flight.run(1.5)
+    assert flight.service.finished is None
+    return flight
+
+
+def test_land_mode_that_disarms_after_a_refusal_is_a_normal_end(fake):
+    flight = land_after_refusal(fake)
+    flight.vehicle.armed = False  # ArduCopter's LAND mode does when it has noticed the ground
+    flight.run(1.1)
+    assert flight.service.finished == Finished(True, "scenario done, landed")
+
+
+def test_another_mode_after_a_refusal_ends_the_wait_for_land_mode(fake):
+    flight = land_after_refusal(fake)
+    flight.vehicle.mode = ModeKind.HOLD
+    flight.run(1.1)
+    assert flight.service.finished == Finished(False, "disarming was refused")
+
+
 def test_what_a_person_armed_is_not_disarmed_but_left_in_land_mode(fake):
     flight = fly(fake, fake.Vehicle(armed=True), arm=False)
     assert not flight.sent(SetArmed)

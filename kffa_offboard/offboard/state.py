@@ -1,0 +1,32 @@
+"""Where the service is, and how it ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+
+class State(Enum):
+    """Where the service is."""
+
+    WAITING = "waiting"
+    READY = "ready"
+    ENGAGING = "engaging"
+    ENGAGED = "engaged"
+    RELEASING = "releasing"
+    FAILSAFE = "failsafe"
+
+
+SENDING = frozenset({State.ENGAGING, State.ENGAGED, State.RELEASING})
+IDLE = frozenset({State.WAITING, State.READY})
+
+
+@dataclass(frozen=True, slots=True)
+class Finished:
+    """The service has done what it was started for, or has given up; it will not take control again."""
+
+    successful: bool
+    reason: str
+
+
+REFUSED = Finished(False, "disarming was refused")
