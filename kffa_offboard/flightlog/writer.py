@@ -24,7 +24,7 @@ from kffa_offboard.offboard.events import Signals
 LOG = logging.getLogger(__name__)
 
 FLUSH_PERIOD_S = 0.5
-"""What is recorded is on the disk this much later; a killed process loses no more than that."""
+"""What is recorded is with the operating system this much later; a killed process loses no more."""
 
 QUEUE_SIZE = 100_000
 """Records that may wait for the disk: minutes of traffic. Beyond it records are dropped and counted."""
@@ -212,13 +212,14 @@ class _Sink:
         try:
             for records in self._parts(batch):
                 self._append(records)
-            os.fsync(self._file.fileno())
         except OSError as error:
             self.lost += len(batch)
             self._note(error)
 
     def close(self) -> None:
+        """Not before: waiting for the disk would keep the next records in a process that may be killed."""
         try:
+            os.fsync(self._file.fileno())
             self._file.close()
         except OSError as error:
             self._note(error)
