@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import logging
 import os
-import queue
 import threading
-import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -80,7 +79,8 @@ class TlogWriter:
         self._notes = _NotePacker(system_id, component_id)
         self._packer = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
         self._sink = _Sink(path, header, self._notes, part_size)
-        self._queue: queue.Queue[bytes | None] = queue.Queue(QUEUE_SIZE)
+        self._records: deque[bytes] = deque()
+        self._stop = threading.Event()
         self._dropped = 0
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="flight log", daemon=True)
@@ -112,9 +112,9 @@ class TlogWriter:
     def _put(self, records: bytes) -> None:
         if self._closed:
             raise ValueError(f"flight log {self.path} is closed")
-        try:
-            self._queue.put_nowait(records)
-        except queue.Full:
+        if len(self._records) < QUEUE_SIZE:
+            self._records.append(records)
+        else:
             self._dropped += 1
 
     def close(self) -> None:
@@ -125,7 +125,7 @@ class TlogWriter:
         if self._closed:
             return
         self._closed = True
-        self._queue.put(None)
+        self._stop.set()
         self._thread.join()
         if self._sink.problem is not None:
             raise UserError(
@@ -155,22 +155,18 @@ class TlogWriter:
             LOG.error("%s", problem)  # what ended the run comes first
 
     def _run(self) -> None:
-        """The thread: collect records, write them every half second, stop at None."""
-        batch: list[bytes] = []
-        due = time.monotonic() + FLUSH_PERIOD_S
+        """The thread: write what has come, every half second and at the end.
+
+        All at once: taking records one by one would have to wait for the interpreter each time, and fall
+        behind a busy main thread.
+        """
         done = False
         while not done:
-            try:
-                record = self._queue.get(timeout=max(due - time.monotonic(), 0.0))
-                done = record is None
-                if record is not None:
-                    batch.append(record)
-            except queue.Empty:
-                pass
-            if done or time.monotonic() >= due:
-                due = time.monotonic() + FLUSH_PERIOD_S
-                self._sink.write(batch)
-                batch = []
+            done = self._stop.wait(FLUSH_PERIOD_S)
+            batch: list[bytes] = []
+            while self._records:
+                batch.append(self._records.popleft())
+            self._sink.write(batch)
         self._sink.close()
 
 
