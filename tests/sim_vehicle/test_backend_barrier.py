@@ -33,9 +33,12 @@ def test_each_period_asks_once_and_goes_on_with_the_answer() -> None:
     assert heard == [4000, 8000]
 
 
-def test_port_0_is_no_barrier() -> None:
+def test_port_0_is_no_barrier(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened: list[object] = []
+    monkeypatch.setattr(socket, "socket", lambda *kinds: opened.append(kinds))
     with open_barrier(0, period_us=4000) as barrier:
         barrier.wait(4000)
+    assert opened == [], "nobody is asked, so nobody can be waited for"
 
 
 def test_an_answer_that_never_comes_is_one_line() -> None:
