@@ -7,7 +7,8 @@ from typing import get_args
 
 import pytest
 
-from kffa_offboard.cli import AlignName, main
+from kffa_offboard.cli import main
+from kffa_offboard.cli_logs import AlignName
 from kffa_offboard.report.align import Alignment
 from kffa_offboard.report.page import render
 from kffa_offboard.report.read import read_flight
