@@ -17,6 +17,7 @@ import numpy as np
 
 from sim_vehicle import airframe, land_detector, rate_loop
 from sim_vehicle.attitude_loop import LEVEL, Quaternion, Vector3
+from sim_vehicle.flight_modes import FlightMode
 from sim_vehicle.guidance import Estimate, Guidance
 from sim_vehicle.parameters import ParameterStore
 from sim_vehicle.rate_loop import ZERO, RateGains, RateState
@@ -91,6 +92,14 @@ class Firmware(ABC):
 
     autopilot: int
     """MAV_AUTOPILOT."""
+    mode: FlightMode
+    """The present flight mode."""
+    land_mode: FlightMode
+    """LAND."""
+    return_mode: FlightMode
+    """Return to home and land."""
+    hold_mode: FlightMode
+    """Hold position."""
     low_thrust_share: float = 0.5
     """Thrust below this share of hover thrust counts as low for the land detector."""
 
@@ -133,23 +142,13 @@ class Firmware(ABC):
 
     @property
     @abstractmethod
-    def custom_mode(self) -> int:
-        """`custom_mode` of HEARTBEAT."""
-
-    @property
-    @abstractmethod
     def base_mode(self) -> int:
         """`base_mode` of HEARTBEAT."""
 
     @property
     @abstractmethod
-    def mode_name(self) -> str:
-        """Name of the flight mode, as the firmware's users know it."""
-
-    @property
-    @abstractmethod
-    def landed_state(self) -> LandedState:
-        """`landed_state` of EXTENDED_SYS_STATE."""
+    def taking_off(self) -> bool:
+        """A take-off of the firmware's own is under way."""
 
     @abstractmethod
     def set_custom_mode(self, custom_mode: int) -> Result:
@@ -166,18 +165,6 @@ class Firmware(ABC):
     @abstractmethod
     def take_off(self, height: float) -> Result:
         """MAV_CMD_NAV_TAKEOFF: `height` above home [m], NaN for the firmware's own default."""
-
-    @abstractmethod
-    def land_here(self) -> Result:
-        """MAV_CMD_NAV_LAND."""
-
-    @abstractmethod
-    def return_home(self) -> Result:
-        """MAV_CMD_NAV_RETURN_TO_LAUNCH."""
-
-    @abstractmethod
-    def loiter(self) -> Result:
-        """MAV_CMD_NAV_LOITER_UNLIM, and the pause of MAV_CMD_DO_PAUSE_CONTINUE."""
 
     @abstractmethod
     def accept_setpoint(self, setpoint: AttitudeSetpoint) -> None:
@@ -288,6 +275,37 @@ class Firmware(ABC):
                 self._announce(Severity.INFO, "Takeoff detected", "takeoff")
 
     # --------------------------------------------------------------------------------- shared
+
+    @property
+    def custom_mode(self) -> int:
+        """`custom_mode` of HEARTBEAT."""
+        return int(self.mode)
+
+    @property
+    def mode_name(self) -> str:
+        """Name of the flight mode, as the firmware's users know it."""
+        return self.mode.label
+
+    @property
+    def landed_state(self) -> LandedState:
+        """`landed_state` of EXTENDED_SYS_STATE."""
+        if self.land.landed:
+            return LandedState.ON_GROUND
+        if self.taking_off:
+            return LandedState.TAKEOFF
+        return LandedState.LANDING if self.mode == self.land_mode else LandedState.IN_AIR
+
+    def land_here(self) -> Result:
+        """MAV_CMD_NAV_LAND."""
+        return self.set_custom_mode(self.land_mode)
+
+    def return_home(self) -> Result:
+        """MAV_CMD_NAV_RETURN_TO_LAUNCH."""
+        return self.set_custom_mode(self.return_mode)
+
+    def loiter(self) -> Result:
+        """MAV_CMD_NAV_LOITER_UNLIM, and the pause of MAV_CMD_DO_PAUSE_CONTINUE."""
+        return self.set_custom_mode(self.hold_mode)
 
     @property
     def attitude_ready(self) -> bool:

@@ -5,7 +5,16 @@ from __future__ import annotations
 from enum import IntEnum
 
 
-class Px4Mode(IntEnum):
+class FlightMode(IntEnum):
+    """A flight mode of either firmware."""
+
+    @property
+    def label(self) -> str:
+        """What the firmware's users call it."""
+        return self.name
+
+
+class Px4Mode(FlightMode):
     """PX4 (px4_custom_mode.h): main mode << 16 | sub mode << 24."""
 
     MANUAL = 1 << 16
@@ -26,7 +35,7 @@ class Px4Mode(IntEnum):
         return {"LOITER": "HOLD", "POSCTL": "POSITION", "ALTCTL": "ALTITUDE"}.get(self.name, self.name)
 
 
-class CopterMode(IntEnum):
+class CopterMode(FlightMode):
     """ArduCopter (mode.h), the modes that this simulator knows."""
 
     STABILIZE = 0
@@ -38,8 +47,3 @@ class CopterMode(IntEnum):
     LAND = 9
     BRAKE = 17
     GUIDED_NOGPS = 20
-
-    @property
-    def label(self) -> str:
-        """What ArduCopter's users call it."""
-        return self.name

@@ -17,7 +17,6 @@ from sim_vehicle.firmware import (
     AttitudeSetpoint,
     Firmware,
     GripperAction,
-    LandedState,
     RateDemand,
     Readiness,
     Result,
@@ -59,6 +58,8 @@ class ArduCopterFirmware(Firmware):
     """ArduCopter's behaviour; see the head of this file."""
 
     autopilot = 3
+    mode: CopterMode
+    land_mode, return_mode, hold_mode = CopterMode.LAND, CopterMode.RTL, CopterMode.LOITER
 
     def __init__(
         self, parameters: ParameterStore, body: airframe.AirframeParameters, readiness: Readiness
@@ -80,29 +81,15 @@ class ArduCopterFirmware(Firmware):
     # ----------------------------------------------------------------------------- telemetry
 
     @property
-    def custom_mode(self) -> int:
-        """`custom_mode` of HEARTBEAT."""
-        return int(self.mode)
-
-    @property
     def base_mode(self) -> int:
         """`base_mode` of HEARTBEAT: custom 1, guided 8, stabilised 16, manual input 64, armed 128."""
         guided = self.mode not in (CopterMode.STABILIZE, CopterMode.ALT_HOLD, CopterMode.LAND)
         return 1 | 16 | 64 | (8 if guided else 0) | (128 if self.armed else 0)
 
     @property
-    def mode_name(self) -> str:
-        """ArduCopter's name of the flight mode."""
-        return self.mode.label
-
-    @property
-    def landed_state(self) -> LandedState:
-        """`landed_state` of EXTENDED_SYS_STATE."""
-        if self.land.landed:
-            return LandedState.ON_GROUND
-        if self._taking_off:
-            return LandedState.TAKEOFF
-        return LandedState.LANDING if self.mode == CopterMode.LAND else LandedState.IN_AIR
+    def taking_off(self) -> bool:
+        """GUIDED climbs to the height that was asked for."""
+        return self._taking_off
 
     def reported_target(self) -> tuple[int, Quaternion, Vector3, float]:
         """ATTITUDE_TARGET: what is really being followed."""
@@ -157,18 +144,6 @@ class ArduCopterFirmware(Firmware):
         self._taking_off = self.mode == CopterMode.GUIDED
         self._takeoff_height = height
         return Result.ACCEPTED
-
-    def land_here(self) -> Result:
-        """Land on the spot."""
-        return self.set_custom_mode(CopterMode.LAND)
-
-    def return_home(self) -> Result:
-        """Fly home and land."""
-        return self.set_custom_mode(CopterMode.RTL)
-
-    def loiter(self) -> Result:
-        """Hold position."""
-        return self.set_custom_mode(CopterMode.LOITER)
 
     def gripper(self, action: GripperAction) -> list[tuple[float, Result]] | None:
         """ACCEPTED at once and a text half a second later; FAILED if not enabled."""

@@ -16,7 +16,6 @@ from sim_vehicle.firmware import (
     AttitudeSetpoint,
     Firmware,
     GripperAction,
-    LandedState,
     RateDemand,
     Readiness,
     Result,
@@ -51,6 +50,8 @@ class Px4Firmware(Firmware):
     """PX4's behaviour; see the head of this file."""
 
     autopilot = 12
+    mode: Px4Mode
+    land_mode, return_mode, hold_mode = Px4Mode.LAND, Px4Mode.RTL, Px4Mode.LOITER
 
     def __init__(
         self, parameters: ParameterStore, body: airframe.AirframeParameters, readiness: Readiness
@@ -70,11 +71,6 @@ class Px4Firmware(Firmware):
     # ----------------------------------------------------------------------------- telemetry
 
     @property
-    def custom_mode(self) -> int:
-        """`custom_mode` of HEARTBEAT: main mode << 16 | sub mode << 24."""
-        return int(self.mode)
-
-    @property
     def base_mode(self) -> int:
         """`base_mode` of HEARTBEAT: custom 1, auto 4, guided 8, stabilised 16, manual 64, armed 128."""
         flags = 1 | (128 if self.armed else 0)
@@ -85,18 +81,9 @@ class Px4Firmware(Firmware):
         return flags | 4 | 8 | 16
 
     @property
-    def mode_name(self) -> str:
-        """PX4's name of the flight mode."""
-        return self.mode.label
-
-    @property
-    def landed_state(self) -> LandedState:
-        """`landed_state` of EXTENDED_SYS_STATE."""
-        if self.land.landed:
-            return LandedState.ON_GROUND
-        if self.mode == Px4Mode.TAKEOFF:
-            return LandedState.TAKEOFF
-        return LandedState.LANDING if self.mode == Px4Mode.LAND else LandedState.IN_AIR
+    def taking_off(self) -> bool:
+        """PX4 takes off in a mode of its own."""
+        return self.mode == Px4Mode.TAKEOFF
 
     def reported_target(self) -> tuple[int, Quaternion, Vector3, float]:
         """ATTITUDE_TARGET as PX4 fills it: mask 0 and, in rate mode too, the *attitude* setpoint's thrust."""
@@ -161,18 +148,6 @@ class Px4Firmware(Firmware):
         if result == Result.ACCEPTED and math.isfinite(height):
             self._takeoff_height = height
         return result
-
-    def land_here(self) -> Result:
-        """Land on the spot."""
-        return self.set_custom_mode(Px4Mode.LAND)
-
-    def return_home(self) -> Result:
-        """Fly home and land."""
-        return self.set_custom_mode(Px4Mode.RTL)
-
-    def loiter(self) -> Result:
-        """Hold."""
-        return self.set_custom_mode(Px4Mode.LOITER)
 
     def gripper(self, action: GripperAction) -> list[tuple[float, Result]] | None:
         """IN_PROGRESS, then ACCEPTED after PD_GRIPPER_TO; no answer at all if not enabled."""
