@@ -6,6 +6,7 @@ import contextlib
 import json
 import os
 import platform
+import random
 import select
 import socket
 import time
@@ -54,7 +55,11 @@ def save(section: str, rows: dict[str, dict[str, Any]]) -> None:
 
 
 class Probe:
-    """A hovering PX4 as a companion computer sees it; the process under test listens on `port`."""
+    """A hovering PX4 as a companion computer sees it; the process under test listens on `port`.
+
+    Its sensors are a little noisy: telemetry that repeats itself to the last bit is what a dead sensor
+    sends, and forbids engaging.
+    """
 
     def __init__(self, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
@@ -66,6 +71,7 @@ class Probe:
         self._parser.robust_parsing = True
         self._mode = POSITION
         self._began = time.perf_counter()
+        self._random = random.Random(0)
 
     def close(self) -> None:
         """Release the port."""
@@ -94,11 +100,15 @@ class Probe:
 
     def attitude(self) -> None:
         """Level."""
-        self.send(mavlink.MAVLink_attitude_message(self._boot_ms(), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        self.send(mavlink.MAVLink_attitude_message(self._boot_ms(), *self._noise(6, 1e-4)))
 
     def position(self) -> None:
         """5 m above the origin."""
-        self.send(mavlink.MAVLink_local_position_ned_message(self._boot_ms(), 0.0, 0.0, -5.0, 0.0, 0.0, 0.0))
+        x, y, z, *velocity = self._noise(6, 1e-3)
+        self.send(mavlink.MAVLink_local_position_ned_message(self._boot_ms(), x, y, z - 5.0, *velocity))
+
+    def _noise(self, count: int, deviation: float) -> list[float]:
+        return [self._random.gauss(0.0, deviation) for _ in range(count)]
 
     def hear(self, timeout_s: float) -> list[str]:
         """Names of what arrives within the time, at once when something does; modes asked for are taken."""

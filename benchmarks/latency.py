@@ -74,13 +74,19 @@ def full_path(recording: Recording) -> list[float]:
 
 
 @contextmanager
-def process(*command: str) -> Iterator[None]:
-    """A process under test; it is ended afterwards."""
-    with subprocess.Popen(
-        [sys.executable, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    ) as running:
+def process(*command: str) -> Iterator[Callable[[], str]]:
+    """A process under test; it is ended afterwards. Yields what tells its last word."""
+    with (
+        tempfile.TemporaryFile("w+") as said,
+        subprocess.Popen([sys.executable, *command], stdout=subprocess.DEVNULL, stderr=said) as running,
+    ):
+
+        def last_word() -> str:
+            said.seek(0)
+            return (said.read().strip().splitlines() or ["nothing"])[-1].strip()
+
         try:
-            yield
+            yield last_word
         finally:
             running.terminate()
             try:
@@ -92,14 +98,14 @@ def process(*command: str) -> Iterator[None]:
 def round_trips(port: int, *command: str) -> dict[str, Any]:
     """Round trips to a process that listens on `port`, after it has begun to answer."""
     probe = Probe(port)
-    with process(*command):
+    with process(*command) as last_word:
         for _ in range(30):  # engaging takes seconds
             if len(probe.round_trips(RATE_HZ / 2.5, 1.0)[0]) > 50:
                 break
         trips, missed = probe.round_trips(RATE_HZ, DURATION_S)
+        if not trips:
+            raise SystemExit(f"error: {' '.join(command[:2])} did not answer; its last word: {last_word()}")
     probe.close()
-    if not trips:
-        raise SystemExit(f"error: {command[0]} {command[1]} did not answer; run it by hand to see why")
     return {**percentiles(trips), "unanswered": missed}
 
 
