@@ -167,6 +167,32 @@ def check(
         raise UserError("\n".join(problems))
 
 
+@app.command(
+    epilog=(
+        "Examples:\n\n"
+        "    kffa-offboard key vehicle.key\n\n"
+        "    kffa-offboard key vehicle.key --passphrase    (asks for the ground station's words)\n\n"
+        'Then `[signing] key_file = "vehicle.key"` in the configuration. Exit status: 0 made, 2 not.'
+    )
+)
+def key(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="The new file; it must not exist.")],
+    passphrase: Annotated[
+        bool,
+        typer.Option(
+            "--passphrase",
+            help="Ask for a passphrase; MAVProxy and QGroundControl make the same key of it.",
+        ),
+    ] = False,
+) -> None:
+    """Make a key for MAVLink 2 signing, in a file that only you can read; it is not shown."""
+    from kffa_offboard.mavlink.signing_key import key_of_passphrase, write_new_key
+
+    words = typer.prompt("Passphrase", hide_input=True, confirmation_prompt=True) if passphrase else None
+    write_new_key(file, None if words is None else key_of_passphrase(words))
+    typer.echo(f"{file}: made, for you alone; give the vehicle and its ground stations the same key")
+
+
 def _summary(config: DaemonConfig) -> str:
     """One line that tells a person what a configuration flies."""
     service = config.service

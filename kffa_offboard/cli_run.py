@@ -49,11 +49,11 @@ def run(config: DaemonConfig, options: RunOptions) -> int:
     """
     console = Console(stderr=True)
     clock = real_time_clock()
-    link = open_link(config.link.url, clock, allow_remote=config.link.allow_remote)
+    ids = config.link
+    link = open_link(ids.url, clock, allow_remote=ids.allow_remote, signing=ids.signing)
     log = _log_path(config, options)
     parameters, changed = None, _changed_parameters(config, log)
     try:
-        ids = config.link
         route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
         if config.autopilot.check_parameters:
             parameters = parameter_keeper(config, route, changed)

@@ -23,6 +23,8 @@ from kffa_offboard.control.design import design
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.address import parse_url
 from kffa_offboard.mavlink.autopilot import GuidedMode
+from kffa_offboard.mavlink.senders import Sender, parse_sender
+from kffa_offboard.mavlink.signed_link import SigningSettings
 from kffa_offboard.offboard.settings import (
     FlightSettings,
     LimitSettings,
@@ -68,7 +70,7 @@ class AutopilotSettings:
 
 @dataclass(frozen=True)
 class LinkSettings:
-    """Where the vehicle is, and the MAVLink ids of both ends."""
+    """Where the vehicle is, the MAVLink ids of both ends, and signing (None: off)."""
 
     url: str
     allow_remote: bool
@@ -77,6 +79,7 @@ class LinkSettings:
     target_system: int
     target_component: int
     connect_timeout_s: float
+    signing: SigningSettings | None
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,7 @@ class DaemonConfig:
     autopilot : checking of its parameters
     tuning : what may be changed in flight; its settings are `service`
     signals_hz : rate of the inner signals on the wire; 0 for none
+    allowed : who may command the daemon; None for everybody
     """
 
     path: Path
@@ -113,6 +117,7 @@ class DaemonConfig:
     autopilot: AutopilotSettings
     tuning: ConfigTuning
     signals_hz: float
+    allowed: tuple[Sender, ...] | None
 
 
 def bundled(name: str) -> Path:
@@ -177,7 +182,7 @@ def build(
         tuning = _with_stored(tuning, stored or own)
     return DaemonConfig(
         path=path,
-        link=_link(tables),
+        link=_link(tables, path.parent),
         service=tuning.settings,
         log=_log(tables),
         document=document,
@@ -185,6 +190,7 @@ def build(
         autopilot=_autopilot(tables, overrides),
         tuning=tuning,
         signals_hz=tables.signals.rate_hz,
+        allowed=_allowed(tables),
     )
 
 
@@ -250,7 +256,22 @@ def _value(table: Table, name: str) -> Any:
     return radians(getattr(table, name.replace("_rad", "_deg")))
 
 
-def _link(tables: ConfigFile) -> LinkSettings:
+def _allowed(tables: ConfigFile) -> tuple[Sender, ...] | None:
+    if tables.companion.allow is None:
+        return None
+    senders = (parse_sender(text) for text in tables.companion.allow)
+    return tuple(sender for sender in senders if sender is not None)
+
+
+def _signing(tables: ConfigFile, directory: Path) -> SigningSettings | None:
+    table = tables.signing
+    if table.key_file is None:
+        return None
+    stamps = None if table.timestamp_file is None else directory / Path(table.timestamp_file).expanduser()
+    return SigningSettings(directory / Path(table.key_file).expanduser(), table.link_id, stamps)
+
+
+def _link(tables: ConfigFile, directory: Path) -> LinkSettings:
     link = tables.link
     return LinkSettings(
         link.url,
@@ -260,6 +281,7 @@ def _link(tables: ConfigFile) -> LinkSettings:
         link.target_system,
         link.target_component,
         tables.telemetry.connect_timeout_s,
+        _signing(tables, directory),
     )
 
 

@@ -76,6 +76,7 @@ def make_companion(config: DaemonConfig, route: Route) -> Companion:
     return Companion(
         route,
         tuning=config.tuning,
+        allowed=config.allowed,
         signals_hz=config.signals_hz,
         to_array=lambda signals: to_message(signals, LIVE_ARRAY_ID),
     )

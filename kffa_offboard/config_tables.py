@@ -10,14 +10,13 @@ from __future__ import annotations
 from math import degrees, radians
 from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from kffa_offboard.config_control import ControlTable, Table
+from kffa_offboard.config_link import CompanionTable, LinkTable, SigningTable
 from kffa_offboard.config_payload import PayloadTable
 from kffa_offboard.config_position import PositionTable
 from kffa_offboard.config_units import number
-from kffa_offboard.errors import UserError
-from kffa_offboard.mavlink.address import parse_url
 from kffa_offboard.offboard import segments
 from kffa_offboard.offboard.settings import (
     FailsafeAction,
@@ -43,30 +42,6 @@ Thrust = Annotated[float, number("of full thrust", at_least=0.0, at_most=1.0)]
 Fraction = Annotated[float, number(above=0.0, at_most=1.0)]
 Angle = Annotated[float, number("deg", at_least=3.0, at_most=180.0)]
 AngularRate = Annotated[float, number("deg/s", at_least=10.0, at_most=2000.0)]
-SystemId = Annotated[int, Field(ge=1, le=255)]
-ComponentId = Annotated[int, Field(ge=1, le=255)]
-
-
-class LinkTable(Table):
-    """`[link]`: where the vehicle is, and who we are on the MAVLink network."""
-
-    url: str = Field(
-        description='where the vehicle is: "udpin:127.0.0.1:14540", "serial:/dev/ttyUSB0:921600", ...'
-    )
-    allow_remote: bool = False
-    system_id: SystemId = 245
-    component_id: ComponentId = 191
-    target_system: SystemId = 1
-    target_component: ComponentId = 1
-
-    @field_validator("url")
-    @classmethod
-    def _can_be_read(cls, url: str) -> str:
-        try:
-            parse_url(url)
-        except UserError as error:
-            raise ValueError(str(error).partition(": ")[2]) from error
-        return url
 
 
 class TelemetryTable(Table):
@@ -381,6 +356,8 @@ class ConfigFile(Table):
     """A whole configuration file."""
 
     link: LinkTable = Field(description="the table [link] with at least url")
+    signing: SigningTable = SigningTable()
+    companion: CompanionTable = CompanionTable()
     telemetry: TelemetryTable = TelemetryTable()
     control: ControlTable = Field(description="the table [control] with [control.altitude] hover_thrust")
     limits: LimitsTable = LimitsTable()

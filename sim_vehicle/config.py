@@ -76,6 +76,12 @@ class LinkSection(Section):
         return self
 
 
+class SigningSection(Section):
+    """[signing]: MAVLink 2 signing with the key in a file, named from the configuration's directory."""
+
+    key_file: str | None = None
+
+
 class SensorsSection(Section):
     """[sensors]: standard deviations of white noise on what the firmware estimates, flies by and sends."""
 
@@ -181,6 +187,7 @@ class SimConfig(Section):
 
     vehicle: VehicleSection = VehicleSection()
     link: LinkSection = LinkSection()
+    signing: SigningSection = SigningSection()
     sensors: SensorsSection = SensorsSection()
     wind: WindSection = WindSection()
     environment: EnvironmentSection = EnvironmentSection()
@@ -225,6 +232,10 @@ class SimConfig(Section):
             raise ValueError(
                 f"vehicle.profile = 'paper': backend.kind = '{kind}' needs motors with limits; "
                 "choose 'airframe'"
+            )
+        if self.signing.key_file is not None:
+            raise ValueError(
+                f"signing.key_file: with backend.kind = '{kind}' the firmware signs by itself; leave it out"
             )
         if self.lockstep.enabled:
             raise ValueError(
@@ -280,6 +291,9 @@ def load(path: Path, overrides: Mapping[str, Mapping[str, Any]] | None = None) -
         raise SimulatorError(f"{path}: cannot be read: {problem}") from problem
     except tomllib.TOMLDecodeError as problem:
         raise SimulatorError(f"{path}: not valid TOML: {problem}") from problem
+    signing = values.get("signing")
+    if isinstance(signing, dict) and isinstance(name := signing.get("key_file"), str):
+        signing["key_file"] = str(path.parent / Path(name).expanduser())
     for section, changes in (overrides or {}).items():
         table = values.setdefault(section, {})
         if isinstance(table, dict):

@@ -67,7 +67,9 @@ class UdpLink(Link):
             self._remote = resolved
             self._socket = socket.socket(family, socket.SOCK_DGRAM)
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
-            if not self._outwards:
+            if self._outwards:
+                self._socket.connect(resolved)  # else anybody could send to us, from anywhere
+            else:
                 self._socket.bind(resolved)
             self._socket.setblocking(False)
         except OSError as problem:

@@ -20,6 +20,7 @@ from sim_vehicle.firmware import AttitudeSetpoint, Firmware, Severity
 from sim_vehicle.guidance import Estimate
 from sim_vehicle.parameters import WIRE_TYPE
 from sim_vehicle.peer import COMPONENT_ID, Peer
+from sim_vehicle.signing import Signing
 from sim_vehicle.telemetry import Message
 
 PARAMETER_SLOWDOWN = 4
@@ -34,9 +35,11 @@ Handler: TypeAlias = Callable[[Peer, Message], None]
 
 
 class MavlinkServer:
-    """Peers, streams and protocols of one vehicle."""
+    """Peers, streams and protocols of one vehicle; with `signing`, only genuine frames count."""
 
-    def __init__(self, firmware: Firmware, system_id: int, loop_rate_hz: float) -> None:
+    def __init__(
+        self, firmware: Firmware, system_id: int, loop_rate_hz: float, signing: Signing | None = None
+    ) -> None:
         self.firmware = firmware
         self.system_id = system_id
         self.time_us = 0
@@ -45,7 +48,9 @@ class MavlinkServer:
         self.estimate = firmware.estimate
         self.missions: dict[int, list[Message]] = {}
         # Until somebody is known, everybody may listen.
-        self.peers: dict[Hashable | None, Peer] = {None: Peer(None, system_id, self.defaults, 0)}
+        self._signing = signing
+        self._links = 0
+        self.peers: dict[Hashable | None, Peer] = {None: self._new_peer(None)}
         self._later: list[tuple[int, int, Callable[[], None]]] = []
         self._count = 0
         self._text_count = 0
@@ -79,8 +84,13 @@ class MavlinkServer:
         """The peer of that key, with default streams if it is new."""
         if key not in self.peers:
             self.peers.pop(None, None)
-            self.peers[key] = Peer(key, self.system_id, self.defaults, self.time_us)
+            self.peers[key] = self._new_peer(key)
         return self.peers[key]
+
+    def _new_peer(self, key: Hashable | None) -> Peer:
+        peer = Peer(key, self.system_id, self.defaults, self.time_us, self._signing, self._links)
+        self._links += 1
+        return peer
 
     def remove_peer(self, key: Hashable) -> None:
         """Forget a peer and its streams."""

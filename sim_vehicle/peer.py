@@ -4,14 +4,19 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Hashable, Mapping
+from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_vehicle import stream_rates
+from sim_vehicle.signing import SignedMavlink, Signing
 from sim_vehicle.telemetry import Message
 
 MAX_DATAGRAM = 1200
 """Frames of one instant share datagrams of at most this many bytes."""
+
+BARRIER_LINK_ID = 255
+"""Link id in the signatures of lock-step's TIMESYNC requests; those of peers are below."""
 
 COMPONENT_ID = 1
 """MAV_COMP_ID_AUTOPILOT1."""
@@ -39,11 +44,20 @@ class Peer:
     """State of the conversation with one peer."""
 
     def __init__(
-        self, key: Hashable | None, system_id: int, defaults: Mapping[int, float], now_us: int
+        self,
+        key: Hashable | None,
+        system_id: int,
+        defaults: Mapping[int, float],
+        now_us: int,
+        signing: Signing | None = None,
+        link_id: int = 0,
     ) -> None:
         self.key = key
         self.defaults = defaults
-        self.codec = mavlink.MAVLink(file=None, srcSystem=system_id, srcComponent=COMPONENT_ID)
+        self.codec: Any = mavlink.MAVLink(file=None, srcSystem=system_id, srcComponent=COMPONENT_ID)
+        if signing is not None:
+            self.codec = SignedMavlink(system_id, COMPONENT_ID, signing, link_id)
+        self._signed = signing is not None
         self.codec.robust_parsing = True
         self.streams: dict[int, Stream] = {}
         self.parameter_queue: deque[str] = deque()
@@ -55,7 +69,9 @@ class Peer:
             self.set_interval(message_id, stream_rates.interval_of(rate), now_us)
 
     def parse(self, data: bytes) -> list[Message]:
-        """Whole messages in `data` and what was left from before; garbage is skipped."""
+        """Whole messages in `data` and what was left from before; garbage is skipped, and what is refused."""
+        if self._signed:
+            self.codec.keep_time()
         messages = self.codec.parse_buffer(data) or []
         return [message for message in messages if message.get_type() != "BAD_DATA"]
 
@@ -81,9 +97,20 @@ class Peer:
         return due
 
     def pack(self, message: Message) -> bytes:
-        """A frame with this peer's next sequence number."""
+        """A frame with this peer's next sequence number, signed if need be."""
+        if self._signed:
+            self.codec.keep_time()
         frame = bytes(message.pack(self.codec))
         self.codec.seq = (self.codec.seq + 1) % 256
+        return frame
+
+    def pack_ahead(self, message: Message) -> bytes:
+        """A frame that overtakes those on their way: signed as on another link, or they would be too old."""
+        if not self._signed:
+            return self.pack(message)
+        own, self.codec.signing.link_id = self.codec.signing.link_id, BARRIER_LINK_ID
+        frame = self.pack(message)
+        self.codec.signing.link_id = own
         return frame
 
     def send(self, message: Message) -> None:

@@ -22,6 +22,7 @@ from sim_vehicle.mavlink_server import MavlinkServer
 from sim_vehicle.personality_ardupilot import ArduCopterFirmware
 from sim_vehicle.personality_px4 import Px4Firmware
 from sim_vehicle.plant import Plant
+from sim_vehicle.signing import Signing
 from sim_vehicle.truth import TruthRecorder
 
 
@@ -54,7 +55,7 @@ class _DelayLine:
 
 
 class SimulatedVehicle:
-    """One vehicle.
+    """One vehicle; with `signing`, its MAVLink is signed (the only thing that knows another clock).
 
     Attributes
     ----------
@@ -62,13 +63,13 @@ class SimulatedVehicle:
     firmware, server : the autopilot and its MAVLink side
     """
 
-    def __init__(self, config: SimConfig) -> None:
+    def __init__(self, config: SimConfig, signing: Signing | None = None) -> None:
         self.config = config
         seeds = np.random.SeedSequence(config.vehicle.seed).spawn(4)
         self._sensor_generator, wind, up, down = (np.random.default_rng(s) for s in seeds)
         self.plant = Plant(config, wind)
         self.firmware = _firmware(config, self.plant.body)
-        self.server = MavlinkServer(self.firmware, config.vehicle.system_id, 1.0 / self.plant.dt)
+        self.server = MavlinkServer(self.firmware, config.vehicle.system_id, 1.0 / self.plant.dt, signing)
         link = config.link
         self._uplink = _DelayLine(link.command_delay_s, link.jitter_s, up)
         self._downlink = _DelayLine(link.telemetry_delay_s, link.jitter_s, down)
@@ -117,7 +118,7 @@ class SimulatedVehicle:
 
     def time_request(self, peer: Hashable) -> bytes:
         """The lock-step barrier's TIMESYNC request to a peer, with simulated time in ns; not delayed."""
-        return self.server.add_peer(peer).pack(mavlink.MAVLink_timesync_message(0, self.time_us * 1000))
+        return self.server.add_peer(peer).pack_ahead(mavlink.MAVLink_timesync_message(0, self.time_us * 1000))
 
     def receive(self, data: bytes, source: Hashable) -> None:
         """A datagram from a peer. It takes effect link.command_delay_s of simulated time from now."""

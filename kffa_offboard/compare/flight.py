@@ -85,7 +85,7 @@ def _fly_native(setup: Setup, trial: Trial, running: Simulation, progress: Progr
                 shown_at = now + POLL_S
                 progress(running.time_s, pilot.phase.name.lower())
             for datagram in link.receive(POLL_S):
-                for message in parser.parse(datagram):
+                for message in [] if datagram.stranger else parser.parse(datagram):
                     if pilot.route.from_target(message):
                         link.lock(datagram.source)
                     for answer in pilot.handle(message):

@@ -1,9 +1,9 @@
 """What a log must hold beside frames and signals, so that the flight can be repeated from it.
 
 Three kinds of note: the header (program, versions, configuration), requests from the daemon's own
-command line or process (they come in no MAVLink message), and the end. Each is a JSON object, cut
-into TUNNEL messages with a payload type of our own; ground stations pass over them. They are only ever
-in the file: none is sent.
+command line or process and what its link noticed (they come in no MAVLink message), and the end. Each
+is a JSON object, cut into TUNNEL messages with a payload type of our own; ground stations pass over them.
+They are only ever in the file: none is sent.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any, Literal, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.offboard.events import EngageRequested, ReleaseRequested
+from kffa_offboard.offboard.events import EngageRequested, IntrusionNoticed, ReleaseRequested
 
 PAYLOAD_TYPE = 52038
 """TUNNEL.payload_type of a note; those from 32768 on are free for private use."""
@@ -29,7 +29,7 @@ _PAYLOAD_SIZE = 128
 _TEXT_SIZE = _PAYLOAD_SIZE - _CHUNK.size
 
 NoteKind: TypeAlias = Literal["header", "request", "end"]
-Request: TypeAlias = EngageRequested | ReleaseRequested
+Request: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed
 
 
 @dataclass(frozen=True)
@@ -122,6 +122,8 @@ def _document(note: Note) -> dict[str, Any]:
             return {"note": "request", "what": "engage"}
         case ReleaseRequested(reason):
             return {"note": "request", "what": "release", "reason": reason}
+        case IntrusionNoticed(text, consequence):
+            return {"note": "request", "what": "intrusion", "text": text, "consequence": consequence}
 
 
 def _note(document: dict[str, Any]) -> Note:
@@ -134,6 +136,8 @@ def _note(document: dict[str, Any]) -> Note:
             return EngageRequested()
         case {"note": "request", "what": "release", "reason": str(reason)}:
             return ReleaseRequested(reason)
+        case {"note": "request", "what": "intrusion", "text": str(text), "consequence": consequence}:
+            return IntrusionNoticed(text, consequence)
     what = document.get("note", "nothing known")
     raise ValueError(f"note {what!r} of format {document.get('format')}; this version reads format {FORMAT}")
 

@@ -41,6 +41,9 @@ READ, WRITE, RESET = 0.0, 1.0, 2.0
 REPEAT_WINDOW_US = 5_000_000
 """A repetition (confirmation > 0) of the last command is answered again, not done again, for so long."""
 
+QUESTIONS = (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_GET_MESSAGE_INTERVAL)
+"""Commands that change nothing, which everybody may send."""
+
 _GRIPPER_ACTIONS: dict[float, GripperRequested] = {
     float(mavlink.GRIPPER_ACTION_RELEASE): GripperRequested("release"),
     float(mavlink.GRIPPER_ACTION_GRAB): GripperRequested("grab"),
@@ -130,8 +133,10 @@ class CommandServer:
             return None
         return self._conclude(DENIED if output.final else REJECTED)
 
-    def handle(self, time_us: int, message: Message) -> Answer | None:
+    def handle(self, time_us: int, message: Message, *, allowed: bool = True) -> Answer | None:
         """Answer a command, without its acknowledgement; None if it is not for us or is a repetition.
+
+        Of somebody who is not `allowed` only questions are answered.
 
         `accepted` or `note` gives the acknowledgement once the service was told the events.
         """
@@ -147,6 +152,9 @@ class CommandServer:
             same = replace(before, confirmation=request.confirmation) == request
             if same and time_us - since_us <= REPEAT_WINDOW_US:
                 return Answer(result)
+        if not allowed and request.command not in QUESTIONS:
+            self._last = (time_us, request, DENIED)
+            return Answer(DENIED)
         handler = self._handlers.get(request.command)
         answer = Answer(UNSUPPORTED) if handler is None else handler(request)
         self._last = (time_us, request, answer.result)

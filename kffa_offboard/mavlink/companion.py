@@ -12,6 +12,7 @@ from kffa_offboard.mavlink.clock import REQUEST_PERIOD_US, ClockEstimate, take_a
 from kffa_offboard.mavlink.command_server import CommandServer
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.parameter_server import ParameterServer, Reply
+from kffa_offboard.mavlink.senders import Sender, is_allowed
 from kffa_offboard.mavlink.setpoints import SetpointRefused, read_setpoint
 from kffa_offboard.mavlink.signal_streams import SignalStreams, ToArray
 from kffa_offboard.offboard.events import Announce, Event, Output, Severity, Signals
@@ -30,6 +31,8 @@ class Companion:
         Who we are.
     tuning
         The parameters; None for none.
+    allowed
+        Who may command, set parameters and send setpoints; None for everybody. Reading is free.
     signals_hz, to_array
         See `SignalStreams`.
 
@@ -40,10 +43,12 @@ class Companion:
         route: Route,
         *,
         tuning: Tuning | None = None,
+        allowed: tuple[Sender, ...] | None = None,
         signals_hz: float = 0.0,
         to_array: ToArray | None = None,
     ) -> None:
         self._route = route
+        self._allowed = allowed
         self._parameters = ParameterServer(tuning)
         self._streams = SignalStreams(signals_hz, to_array)
         self._commands = CommandServer(route, self._parameters, self._streams)
@@ -100,9 +105,12 @@ class Companion:
         return replies
 
     def _command(self, time_us: int, message: Message) -> list[Event]:
-        answer = self._commands.handle(time_us, message)
+        allowed = is_allowed(self._allowed, message)
+        answer = self._commands.handle(time_us, message, allowed=allowed)
         if answer is None:
             return []
+        if not allowed and answer.result == mavlink.MAV_RESULT_DENIED:
+            self._say_once(f"commands of {_sender(message)} not allowed")
         self._result = answer.result
         self._replies += answer.replies
         return list(answer.events)
@@ -119,11 +127,17 @@ class Companion:
         try:
             setpoint = read_setpoint(self._route, message)
         except SetpointRefused as refused:
-            if str(refused) not in self._said and len(self._said) < MOST_REASONS:
-                self._said.add(str(refused))
-                self._replies.append(Announce(Severity.WARNING, str(refused)))
+            self._say_once(str(refused))
+            return []
+        if setpoint is not None and not is_allowed(self._allowed, message):
+            self._say_once(f"setpoints of {_sender(message)} not allowed")
             return []
         return [] if setpoint is None else [setpoint]
+
+    def _say_once(self, reason: str) -> None:
+        if reason not in self._said and len(self._said) < MOST_REASONS:
+            self._said.add(reason)
+            self._replies.append(Announce(Severity.WARNING, reason))
 
     def _ping(self, message: Message) -> None:
         """Answer a request, which has no target; answers have one."""
@@ -144,8 +158,15 @@ class Companion:
             self.advance(time_us)
         elif kind == "PARAM_REQUEST_READ":
             self._replies += self._parameters.read(message)
+        elif not is_allowed(self._allowed, message):
+            self._say_once(f"parameters of {_sender(message)} not allowed")
+            self._replies += self._parameters.unchanged(message)
         else:
             replies, events = self._parameters.set(message)
             self._replies += replies
             return list(events)
         return []
+
+
+def _sender(message: Message) -> str:
+    return f"{message.get_srcSystem()}/{message.get_srcComponent()}"

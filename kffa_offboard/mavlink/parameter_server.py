@@ -76,6 +76,11 @@ class ParameterServer:
             return [Announce(Severity.WARNING, f"parameter {_shown(asked)}: not known")]
         return [self._value(index)]
 
+    def unchanged(self, message: Message) -> list[Reply]:
+        """Answer a PARAM_SET that is not to be done, as the protocol wants: with the present value."""
+        index = self._index(message.param_id)
+        return [] if index is None else [self._value(index)]
+
     def set(self, message: Message) -> tuple[list[Reply], list[SettingsChanged]]:
         """Answer PARAM_SET, and tell the service if anything is other than before."""
         name = message.param_id

@@ -10,7 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import Literal, Protocol, TypeAlias
 
 from kffa_offboard.mavlink import parameter_keeper
 from kffa_offboard.mavlink.autopilot import GuidedMode
@@ -19,6 +19,7 @@ from kffa_offboard.mavlink.companion import Companion
 from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
 from kffa_offboard.mavlink.parameter_file import ChangedParameter
 from kffa_offboard.mavlink.parameter_keeper import ParameterKeeper
+from kffa_offboard.mavlink.rivals import RivalWatch
 from kffa_offboard.mavlink.transport import Datagram, Link
 from kffa_offboard.mavlink.vehicle import Vehicle
 from kffa_offboard.offboard.events import (
@@ -27,6 +28,7 @@ from kffa_offboard.offboard.events import (
     EngageRequested,
     Event,
     HeartbeatReceived,
+    IntrusionNoticed,
     Output,
     ReleaseRequested,
     Signals,
@@ -36,6 +38,13 @@ LOG = logging.getLogger(__name__)
 
 Observer: TypeAlias = Callable[[int, Event | Output], None]
 """Is told every event before and every output after the service, with its time [us]; for status lines."""
+
+
+ProcessRequest: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed
+"""What comes in no MAVLink message, but from the daemon's own process or its link."""
+
+MOST_NOTICES = 16
+"""So many of the link's own observations wait to be told at most."""
 
 
 class OffboardService(Protocol):
@@ -67,8 +76,8 @@ class Recorder(Protocol):
     def write_begin(self, time_us: int) -> None:
         """Record that the run begins, and with what."""
 
-    def write_request(self, time_us: int, request: EngageRequested | ReleaseRequested) -> None:
-        """Record what the daemon's own process asked for."""
+    def write_request(self, time_us: int, request: ProcessRequest) -> None:
+        """Record what the daemon's own process asked for or noticed."""
 
     def write_end(self, time_us: int, reason: str, frames_dropped: int) -> None:
         """Record that the run is over, and why."""
@@ -140,16 +149,57 @@ class Session:
         self._parameters = parameters
         self._companion = companion or Companion(route)
         self._compare_clocks = compare_clocks
+        self._rivals = RivalWatch(route)
+        self._notices: list[IntrusionNoticed] = []
 
     def read(self, datagram: Datagram) -> list[Message]:
-        """Messages in a datagram. The first one of the target ties the link to its sender."""
+        """Messages in a datagram. The first one of the target ties the link to its sender.
+
+        What comes under our own ids is left out, and whatever strangers say.
+        """
         self.counters.bytes_received += len(datagram.data)
+        if datagram.notice:
+            self._notice(datagram.notice, "said")
         messages = self._parser.parse(datagram)
+        if datagram.stranger:
+            self._look_at_stranger(datagram, messages)
+            return []
         senders = {(message.get_srcSystem(), message.get_srcComponent()) for message in messages}
         self.heard |= senders - {(0, 0)}  # what pymavlink cannot decode has no sender
         if any(self.route.from_target(message) for message in messages):
             self.link.lock(datagram.source)
+        if (self.route.own_system, self.route.own_component) in senders:
+            return self._without_own(messages)
         return messages
+
+    def report_notices(self, time_us: int) -> None:
+        """Tell the service what was noticed about the link itself, and record it."""
+        notices, self._notices = self._notices, []
+        for noticed in notices:
+            self.request(time_us, noticed)
+
+    def _notice(self, text: str, consequence: Literal["said", "forbids", "ends"]) -> None:
+        if len(self._notices) < MOST_NOTICES:
+            self._notices.append(IntrusionNoticed(text, consequence))
+
+    def _look_at_stranger(self, datagram: Datagram, messages: list[Message]) -> None:
+        """A vehicle with the same id beside the one that the link is tied to."""
+        if any(self.route.from_target(message) for message in messages):
+            source = datagram.source
+            place = f"{source[0]}:{source[1]}" if isinstance(source, tuple) else str(source)
+            ids = f"{self.route.target_system}/{self.route.target_component}"
+            self._notice(f"another vehicle is {ids}: {place}", "forbids")
+
+    def _without_own(self, messages: list[Message]) -> list[Message]:
+        """Leave out what is under our own ids: an echo, or a second daemon. The log takes it for ours."""
+        own = (self.route.own_system, self.route.own_component)
+        others = []
+        for message in messages:
+            if (message.get_srcSystem(), message.get_srcComponent()) != own:
+                others.append(message)
+            elif self._rivals.is_impostor(message):
+                self._notice(f"somebody else is {own[0]}/{own[1]}: a second daemon?", "forbids")
+        return others
 
     def handle(self, time_us: int, message: Message) -> None:
         """Do what is due before `time_us`, then record one message and tell the service what it says."""
@@ -157,6 +207,9 @@ class Session:
         self._record(time_us, bytes(message.get_msgbuf()))
         if self.route.from_target(message):
             self.counters.telemetry_received += 1
+        noticed = self._rivals.watch(time_us, message)
+        if noticed is not None:
+            self.tell(time_us, noticed)
         for event in self._vehicle.decode(message):
             if isinstance(event, HeartbeatReceived) and self._parameters is not None:
                 self._parameters.heartbeat(time_us, event)
@@ -217,8 +270,8 @@ class Session:
         """What is changed on the vehicle and not (yet) put back."""
         return () if self._parameters is None else self._parameters.changes
 
-    def request(self, time_us: int, request: EngageRequested | ReleaseRequested) -> None:
-        """Tell the service what the daemon's own process asks for, and record it."""
+    def request(self, time_us: int, request: ProcessRequest) -> None:
+        """Tell the service what the daemon's own process asks for or has noticed, and record it."""
         self.advance(time_us)
         if self._recorder is not None:
             self._recorder.write_request(time_us, request)
@@ -291,6 +344,7 @@ class Session:
 
     def _transmit(self, time_us: int, message: Message) -> bool:
         frame = self._component.pack(message)
+        self._rivals.note_sent(frame)
         if not self.link.send(frame):
             self.counters.frames_dropped += 1
             return False

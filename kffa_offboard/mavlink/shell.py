@@ -93,6 +93,7 @@ def _receive(session: Session, timeout_s: float) -> None:
     for datagram in session.link.receive(timeout_s):
         for message in session.read(datagram):
             take_message(session, datagram.time_us, message)
+        session.report_notices(datagram.time_us)
 
 
 def take_message(session: Session, time_us: int, message: Message) -> None:
@@ -174,6 +175,7 @@ class _LockStep:
                 f"{time_us / 1e6:.3f} s; it was restarted, so restart the daemon too"
             )
         self.time_us = time_us
+        session.report_notices(time_us)
         waiting, self._waiting = self._waiting, []
         for message in waiting:
             session.handle(time_us, message)

@@ -21,12 +21,15 @@ class Datagram:
     """Bytes that arrived together.
 
     `time_us` is the arrival time on the link's clock; `source` tells senders apart (each has its own
-    stream of frames).
+    stream of frames). A `stranger` is not who the link is locked onto: to be looked at, not listened to.
+    `notice` is what the link has to say about its sender, for people.
     """
 
     time_us: int
     data: bytes
     source: Hashable
+    stranger: bool = False
+    notice: str = ""
 
 
 class Link(Protocol):
@@ -57,7 +60,7 @@ class Link(Protocol):
         """
 
     def lock(self, source: Hashable) -> None:
-        """From now on listen to `source` alone and answer it alone."""
+        """From now on listen to `source` alone and answer it alone; a few datagrams of others are marked."""
 
     def close(self) -> None:
         """Give the port back. May be called twice."""

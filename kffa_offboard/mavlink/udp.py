@@ -20,6 +20,9 @@ DATAGRAMS_AT_ONCE = 256
 
 RECEIVE_BUFFER = 1 << 20
 
+STRANGER_PERIOD_US = 100_000
+"""So often at most a datagram of another than the locked sender is handed on, marked as a stranger's."""
+
 
 def _open_socket(address: NetworkAddress) -> socket.socket:
     family, place = resolve(address)
@@ -72,12 +75,13 @@ class UdpLink:
         self._clock = clock
         self._listens = address.listens
         self._peer: Hashable | None = None
+        self._stranger_us: int | None = None
         self.trouble = ""
         port = int(self._socket.getsockname()[1]) if address.listens else address.port
         self.name = NetworkAddress(address.kind, address.host, port).url
 
     def receive(self, timeout_s: float) -> list[Datagram]:
-        """See `transport.Link`. Datagrams of others than the locked sender are dropped."""
+        """See `transport.Link`. Of others than the locked sender ten datagrams a second are shown."""
         select.select([self._socket], [], [], max(timeout_s, 0.0))
         datagrams: list[Datagram] = []
         for _ in range(DATAGRAMS_AT_ONCE):
@@ -91,7 +95,16 @@ class UdpLink:
             if self._peer is None or source == self._peer:
                 datagrams.append(Datagram(self._clock(), data, source))
                 self.trouble = ""
+            elif self._is_due(now_us := self._clock()):
+                datagrams.append(Datagram(now_us, data, source, stranger=True))
         return datagrams
+
+    def _is_due(self, now_us: int) -> bool:
+        """May a stranger's datagram be shown now?"""
+        if self._stranger_us is not None and now_us - self._stranger_us < STRANGER_PERIOD_US:
+            return False
+        self._stranger_us = now_us
+        return True
 
     def send(self, data: bytes) -> bool:
         """See `transport.Link`."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import logging
-
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
@@ -24,8 +22,6 @@ from kffa_offboard.offboard.events import (
     RequestRefused,
     Signals,
 )
-
-LOG = logging.getLogger(__name__)
 
 _AUTOPILOTS: dict[int, type[Autopilot]] = {
     mavlink.MAV_AUTOPILOT_PX4: Px4,
@@ -98,19 +94,13 @@ class Vehicle:
         return self._autopilot.encode(output, time_us)
 
     def _is_ours(self, heartbeat: Message) -> bool:
-        """Recognise the vehicle, at its first heartbeat for good."""
+        """Recognise the vehicle, at its first heartbeat for good; `rivals` notices another one."""
         identity = (heartbeat.autopilot, heartbeat.type)
         if self._identity is None:
             self._check_supported(heartbeat)
             kind = _AUTOPILOTS[heartbeat.autopilot]
             self._autopilot = kind(self._route, TelemetryDecoder(), self._guided_mode)
             self._identity = identity
-        elif identity != self._identity:
-            LOG.warning(
-                "ignoring a heartbeat of %s %s: it has the vehicle's own system and component id",
-                _enum_name("MAV_AUTOPILOT", heartbeat.autopilot),
-                _enum_name("MAV_TYPE", heartbeat.type),
-            )
         return identity == self._identity
 
     def _check_supported(self, heartbeat: Message) -> None:

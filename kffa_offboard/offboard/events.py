@@ -174,6 +174,17 @@ class LinkMeasured:
 
 
 @dataclass(frozen=True, slots=True)
+class IntrusionNoticed:
+    """Somebody is on the link who should not be, and what follows.
+
+    It is "said"; or it "forbids" engaging, too; or, if it goes on, it "ends" control, too.
+    """
+
+    text: str
+    consequence: Literal["said", "forbids", "ends"]
+
+
+@dataclass(frozen=True, slots=True)
 class PositionSetpoint:
     """Go to x, y and z [m] from the estimator's origin, heading `yaw` [rad]; None leaves it as it is.
 
@@ -207,6 +218,7 @@ Event: TypeAlias = (
     | GripperRequested
     | SettingsChanged
     | LinkMeasured
+    | IntrusionNoticed
     | PositionSetpoint
     | AttitudeSetpoint
 )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from kffa_offboard.offboard import admission, events, external, parameters
+from kffa_offboard.offboard import admission, events, external, parameters, rivals
 from kffa_offboard.offboard.events import AttitudeSetpoint, Event, PositionSetpoint, Severity
 from kffa_offboard.offboard.flight import Directive, Phase
 from kffa_offboard.offboard.payload_session import PayloadSession
@@ -36,6 +36,8 @@ class RequestSession(PayloadSession):
                 self._on_setpoint(time_us, event)
             case events.ParametersChecked():
                 self._on_parameters(event)
+            case events.IntrusionNoticed():
+                self._on_intrusion(time_us, event)
             case _:
                 pass
 
@@ -51,6 +53,14 @@ class RequestSession(PayloadSession):
         low = admission.empty(self.settings.limits, reported)
         if low is not None and self.state in SENDING:
             self._say_once(Severity.WARNING, "battery low")
+
+    def _on_intrusion(self, time_us: int, noticed: events.IntrusionNoticed) -> None:
+        """Two who command one vehicle is worse than none: its own failsafe flies it better."""
+        self._rivals, news = rivals.notice(self._rivals, time_us, noticed)
+        if news:
+            self._say(Severity.WARNING, noticed.text)
+        if self.state in SENDING and rivals.fought_over(self._rivals, time_us):
+            self._failsafe(time_us, self._rivals.text)
 
     def _on_parameters(self, checked: events.ParametersChecked) -> None:
         if checked.complete:

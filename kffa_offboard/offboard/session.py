@@ -22,6 +22,7 @@ from kffa_offboard.offboard.flight import (
     start_scenario,
 )
 from kffa_offboard.offboard.loop import LoopState, forget_sent
+from kffa_offboard.offboard.rivals import Rivals, forbids
 from kffa_offboard.offboard.segments import Land, starts_on_ground
 from kffa_offboard.offboard.sequence import Engagement, EngagePhase, EngageStep, Retry, begin_retry
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -64,6 +65,7 @@ class Session:
         self._link: events.LinkMeasured | None = None
         self._battery: events.BatteryReported | None = None
         self._trust = Trust()
+        self._rivals = Rivals()
         self._centre: tuple[float, float] | None = None
         self._stay = False
         self._external: External | None = None
@@ -103,6 +105,7 @@ class Session:
         if self.state not in IDLE:
             return f"already {self.state.value}"
         refusal = admission.refusal(self.settings, self._known, self._link, self._battery, time_us)
+        refusal = refusal or forbids(self._rivals, time_us)
         if refusal is not None or self.state is State.WAITING:
             return refusal or "not ready"
         grounded = self._grounded(time_us)

@@ -12,10 +12,10 @@ from kffa_offboard.config_log import make_companion, recorded_keeper
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.mavlink.commands import is_timesync_request
 from kffa_offboard.mavlink.component import Route
-from kffa_offboard.mavlink.session import Session
+from kffa_offboard.mavlink.session import ProcessRequest, Session
 from kffa_offboard.mavlink.shell import pass_barrier, take_message
 from kffa_offboard.mavlink.transport import Datagram
-from kffa_offboard.offboard.events import EngageRequested, ReleaseRequested, Signals
+from kffa_offboard.offboard.events import Signals
 from kffa_offboard.offboard.service import Service
 from kffa_offboard.replay.recording import Frame, Recording, is_request
 
@@ -68,7 +68,7 @@ class _Collector:
     def write_begin(self, time_us: int) -> None:
         pass
 
-    def write_request(self, time_us: int, request: EngageRequested | ReleaseRequested) -> None:
+    def write_request(self, time_us: int, request: ProcessRequest) -> None:
         pass
 
     def write_end(self, time_us: int, reason: str, frames_dropped: int) -> None:

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from sim_vehicle.backends.base import Progress
 from sim_vehicle.config import SimConfig
 from sim_vehicle.links import Links
 from sim_vehicle.plant import Plant
 from sim_vehicle.server import run_lockstep, run_real_time
+from sim_vehicle.signing import Signing, read_key
 from sim_vehicle.vehicle import SimulatedVehicle
 
 
 class BundledBackend:
-    """`SimulatedVehicle` behind MAVLink links."""
+    """`SimulatedVehicle` behind MAVLink links. Raises SimulatorError for a signing key that is no good."""
 
     def __init__(self, config: SimConfig, links: Links) -> None:
         self._config = config
         self._links = links
-        self._vehicle = SimulatedVehicle(config)
+        key_file = config.signing.key_file
+        signing = None if key_file is None else Signing(read_key(Path(key_file).expanduser()))
+        self._vehicle = SimulatedVehicle(config, signing)
 
     @property
     def plant(self) -> Plant:

@@ -1,0 +1,224 @@
+"""Somebody else on the link: what is noticed, what is said, and that the log tells the same again."""
+
+import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
+from kffa_offboard.mavlink.component import FrameParser, Route
+from kffa_offboard.mavlink.rivals import RivalWatch
+from kffa_offboard.mavlink.session import Session
+from kffa_offboard.mavlink.transport import Datagram
+from kffa_offboard.offboard.events import IntrusionNoticed
+
+NOW_US = 1_000_000
+IDENTITY = [1.0, 0.0, 0.0, 0.0]
+SECRET = bytes(range(60, 92))
+
+
+class Told:
+    """A service that only listens."""
+
+    finished = None
+
+    def __init__(self):
+        self.events = []
+
+    def handle(self, time_us, event):
+        self.events.append(event)
+        return []
+
+    def advance(self, time_us):
+        return []
+
+    def next_deadline(self):
+        return None
+
+
+class NoWire:
+    name, trouble, keeps_frames_whole = "test", "", True
+
+    def __init__(self):
+        self.locked = None
+        self.sent = []
+
+    def send(self, data):
+        self.sent.append(data)
+        return True
+
+    def lock(self, source):
+        self.locked = source
+
+
+class Notebook:
+    def __init__(self):
+        self.frames, self.requests = [], []
+
+    def write(self, time_us, frame):
+        self.frames.append(frame)
+
+    def write_begin(self, time_us):
+        pass
+
+    def write_request(self, time_us, request):
+        self.requests.append(request)
+
+
+def attitude_target(system, component):
+    return mavlink.MAVLink_set_attitude_target_message(1, system, component, 128, IDENTITY, 0, 0, 0, 0.5)
+
+
+def position_target(system, component):
+    return mavlink.MAVLink_set_position_target_local_ned_message(
+        1, system, component, 1, 2552, 0, 0, -5, 0, 0, 0, 0, 0, 0, 0, 0
+    )
+
+
+@pytest.fixture
+def watch(route):
+    return RivalWatch(route)
+
+
+@pytest.mark.parametrize("message", [attitude_target(1, 1), attitude_target(1, 0), position_target(0, 0)])
+def test_setpoints_of_somebody_else_for_the_vehicle_are_noticed(watch, scripted, message):
+    noticed = watch.watch(NOW_US, scripted(255, 190).over_the_wire(message))
+    assert noticed == IntrusionNoticed("255/190 sends setpoints to the vehicle", "ends")
+
+
+@pytest.mark.parametrize(
+    "message", [attitude_target(245, 191), attitude_target(2, 1), position_target(1, 154)]
+)
+def test_setpoints_for_us_for_another_vehicle_or_for_a_gimbal_are_not(watch, scripted, message):
+    assert watch.watch(NOW_US, scripted(255, 190).over_the_wire(message)) is None
+
+
+def test_setpoints_for_a_daemon_with_the_vehicles_system_id_are_for_it(scripted):
+    watch = RivalWatch(Route(own_system=1, own_component=191))
+    sender = scripted(255, 190)
+    assert watch.watch(NOW_US, sender.over_the_wire(attitude_target(1, 191))) is None
+    assert watch.watch(NOW_US, sender.over_the_wire(attitude_target(1, 0))) is not None
+
+
+def boots(watch, scripted, times_ms, period_us=10_000):
+    """What is noticed about attitudes with these boot times, in order."""
+    vehicle = scripted()
+    return [
+        noticed
+        for k, boot_ms in enumerate(times_ms)
+        if (noticed := watch.watch(NOW_US + k * period_us, vehicle.over_the_wire(scripted.attitude(boot_ms))))
+    ]
+
+
+@pytest.mark.parametrize("apart_ms", [300, 1500, 3_600_000])
+def test_two_vehicles_by_turns_are_noticed_within_a_tenth_of_a_second(watch, scripted, apart_ms):
+    times = [start + 10 * k for k in range(5, 12) for start in (apart_ms, 0)]
+    noticed = boots(watch, scripted, times, period_us=7_000)
+    assert noticed
+    assert set(noticed) == {IntrusionNoticed("two vehicles are 1/1, or old telemetry", "ends")}
+
+
+def test_a_restart_lost_doubled_and_overtaken_samples_are_no_second_vehicle(watch, scripted):
+    steady = list(range(100_000, 110_000, 10))
+    overtaken = [steady[k ^ 1] for k in range(1000)]
+    doubled = [time_ms for time_ms in steady for _ in (0, 1)]
+    restarted = [*steady, *range(0, 5000, 10), *range(0, 5000, 10)]
+    for times in (steady, steady[::7], overtaken, doubled, restarted):
+        assert boots(RivalWatch(Route()), scripted, times) == []
+
+
+def test_a_heartbeat_of_another_firmware_under_the_vehicles_id_is_noticed(watch, scripted):
+    vehicle = scripted()
+    px4 = vehicle.over_the_wire(scripted.heartbeat())
+    copter = vehicle.over_the_wire(scripted.heartbeat(mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA))
+    assert watch.watch(NOW_US, px4) is None
+    assert watch.watch(NOW_US, copter) == IntrusionNoticed("two vehicles are 1/1", "forbids")
+    assert watch.watch(NOW_US, px4) is None
+
+
+# ------------------------------------------------------------------------ what the link itself shows
+
+
+@pytest.fixture
+def session(route):
+    session = Session(Told(), NoWire(), route, recorder=Notebook())
+    session.advance(NOW_US)
+    return session
+
+
+def read(session, frame, source=("127.0.0.1", 14550), **marks):
+    """Hand over a datagram as the real-time loop does; the messages that are left."""
+    messages = session.read(Datagram(NOW_US, frame, source, **marks))
+    for message in messages:
+        session.handle(NOW_US, message)
+    session.report_notices(NOW_US)
+    return messages
+
+
+def noticed_by(session):
+    return [event for event in session.service.events if isinstance(event, IntrusionNoticed)]
+
+
+def test_a_second_vehicle_at_another_address_is_noticed_and_not_listened_to(session, scripted):
+    vehicle = scripted()
+    read(session, vehicle.pack(scripted.heartbeat()))
+    assert session.link.locked == ("127.0.0.1", 14550)
+    beat = vehicle.pack(scripted.heartbeat(armed=True))
+    assert read(session, beat, ("10.0.0.7", 9999), stranger=True) == []
+    expected = IntrusionNoticed("another vehicle is 1/1: 10.0.0.7:9999", "forbids")
+    assert noticed_by(session) == session._recorder.requests == [expected]
+    assert session.link.locked == ("127.0.0.1", 14550)
+    assert beat not in session._recorder.frames
+
+
+def test_a_ground_station_at_another_address_is_nothing_to_speak_of(session, scripted):
+    ground = scripted(255, 190)
+    read(session, ground.pack(scripted.heartbeat()), ("10.0.0.7", 9999), stranger=True)
+    read(session, b"\xfd noise", ("10.0.0.7", 9999), stranger=True)
+    assert noticed_by(session) == []
+
+
+def test_a_second_daemon_with_our_ids_is_noticed_and_kept_out_of_the_log(session, scripted):
+    """The log takes what is under our ids for what we sent."""
+    impostor = scripted(245, 191).pack(attitude_target(1, 1))
+    assert read(session, impostor) == []
+    expected = IntrusionNoticed("somebody else is 245/191: a second daemon?", "forbids")
+    assert noticed_by(session) == session._recorder.requests == [expected]
+    assert session._recorder.frames == []
+
+
+def test_an_echo_of_what_we_sent_is_not_taken_for_a_second_daemon(session, scripted):
+    ping = scripted(255, 190).pack(mavlink.MAVLink_ping_message(5, 1, 0, 0))
+    read(session, ping)
+    (answer,) = session.link.sent
+    assert read(session, answer) == []
+    assert noticed_by(session) == []
+    assert session._recorder.frames == [ping, answer]
+
+
+def test_a_flood_of_strangers_is_not_kept(session, scripted):
+    vehicle = scripted()
+    for port in range(1000):
+        frame = vehicle.pack(scripted.heartbeat())
+        session.read(Datagram(NOW_US, frame, ("10.0.0.7", port), stranger=True))
+    assert len(session._notices) <= 16
+
+
+# -------------------------------------------------------------------------------- SETUP_SIGNING
+
+
+def test_setup_signing_is_ignored_announced_and_its_key_is_in_no_log(session, scripted):
+    ground = scripted(255, 190)
+    for target in ((245, 191), (0, 0)):
+        read(session, ground.pack(mavlink.MAVLink_setup_signing_message(*target, list(SECRET), 12345)))
+    assert set(noticed_by(session)) == {IntrusionNoticed("SETUP_SIGNING of 255/190 ignored", "said")}
+    recorded = b"".join(session._recorder.frames)
+    assert SECRET[:8] not in recorded
+    messages = FrameParser(True).parse(Datagram(0, recorded, None))
+    assert [message.get_type() for message in messages] == ["SETUP_SIGNING"] * 2
+    assert {tuple(message.secret_key) for message in messages} == {(0,) * 32}
+
+
+def test_setup_signing_for_the_vehicle_is_not_ours_to_speak_of_and_not_to_keep_either(session, scripted):
+    frame = scripted(255, 190).pack(mavlink.MAVLink_setup_signing_message(1, 1, list(SECRET), 12345))
+    (message,) = read(session, frame)
+    assert noticed_by(session) == []
+    assert (message.target_system, message.get_srcSystem(), message.get_seq()) == (1, 255, 0)
+    assert SECRET[:8] not in b"".join(session._recorder.frames)
