@@ -216,6 +216,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise ConfigError(str(path), [f"is not valid TOML: {error}"]) from error
     except OSError as error:
         raise ConfigError(str(path), [f"cannot be read: {error.strerror}"]) from error
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits, thousands of brackets
+        raise ConfigError(str(path), ["holds a number or a nesting that is too long; shorten it"]) from error
 
 
 def controller_parameters(control: ControlTable, limits: LimitSettings) -> ControllerParameters:

@@ -13,6 +13,9 @@ from kffa_offboard.offboard.tuning import TuningProblem
 Key: TypeAlias = tuple[str, ...]
 """Where a number stands in a file: its tables and its key."""
 
+MOST = 10**15
+"""Whole numbers beyond it are no parameter, and some have no float."""
+
 
 class TuningStore(Protocol):
     """Text that is kept under a file's name."""
@@ -94,11 +97,14 @@ def read_values(store: TuningStore, keys: Mapping[str, Key]) -> dict[Key, float]
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise TuningProblem(f"is not valid TOML: {error}") from error
+    except (ValueError, RecursionError) as error:  # thousands of digits, thousands of brackets
+        raise TuningProblem("holds a number or a nesting that is too long") from error
     known, values = set(keys.values()), dict(_leaves(document, ()))
     for key, value in values.items():
         if key not in known:
             raise TuningProblem(f"{'.'.join(key)}: is no parameter of this configuration; remove it")
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
+        whole = isinstance(value, int) and abs(value) < MOST
+        if isinstance(value, bool) or not (whole or isinstance(value, float)):
             raise TuningProblem(f"{'.'.join(key)} = {value!r}: must be a number")
     return {key: float(value) for key, value in values.items()}
 

@@ -291,6 +291,8 @@ def load(path: Path, overrides: Mapping[str, Mapping[str, Any]] | None = None) -
         raise SimulatorError(f"{path}: cannot be read: {problem}") from problem
     except tomllib.TOMLDecodeError as problem:
         raise SimulatorError(f"{path}: not valid TOML: {problem}") from problem
+    except (ValueError, RecursionError) as problem:  # thousands of digits, thousands of brackets
+        raise SimulatorError(f"{path}: holds a number or a nesting that is too long; shorten it") from problem
     signing = values.get("signing")
     if isinstance(signing, dict) and isinstance(name := signing.get("key_file"), str):
         signing["key_file"] = str(path.parent / Path(name).expanduser())

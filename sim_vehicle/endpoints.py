@@ -38,7 +38,8 @@ def parse_endpoint(url: str, allow_remote: bool) -> Endpoint:
         close = difflib.get_close_matches(scheme, get_args(Scheme), n=1)
         hint = f"did you mean {close[0]}?" if close else f"choose one of {', '.join(get_args(Scheme))}"
         raise ValueError(f"{url!r}: unknown kind {scheme!r}; {hint}")
-    if not host or not port_text.isdigit() or not 0 <= int(port_text) <= 65535:
+    digits = port_text.isascii() and port_text.isdigit() and len(port_text) <= 5
+    if not host or not digits or int(port_text) > 65535:
         raise ValueError(f"{url!r}: not of the form {scheme}:HOST:PORT with a port of 0 to 65535")
     if not allow_remote and not is_loopback(host):
         raise ValueError(

@@ -12,8 +12,9 @@ import json
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias, TypeVar
 
+from pydantic import TypeAdapter, ValidationError
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.offboard.events import EngageRequested, IntrusionNoticed, ReleaseRequested
@@ -70,6 +71,8 @@ class End:
 
 Note: TypeAlias = Header | Request | End
 
+Checked = TypeVar("Checked", Header, End, IntrusionNoticed)
+
 
 def to_messages(note: Note) -> list[Any]:
     """A note as TUNNEL messages, in order."""
@@ -96,14 +99,16 @@ class NoteReader:
         Raises ValueError for pieces out of order or a note of another kind or format.
         """
         payload = bytes(message.payload[: message.payload_length])
+        if len(payload) < _CHUNK.size:
+            raise ValueError("a piece of a note without its number")
         index, count = _CHUNK.unpack_from(payload)
-        if index != self._next:
+        if index != self._next or index >= count:
             raise ValueError(f"piece {index} of a note where piece {self._next} was expected")
         self._text = (self._text if index else b"") + payload[_CHUNK.size :]
         self._next = (index + 1) % count
         if self._next:
             return None
-        return _note(json.loads(self._text))
+        return _note(_parse(self._text))
 
 
 def _chunk(index: int, count: int, text: bytes) -> Any:
@@ -126,20 +131,40 @@ def _document(note: Note) -> dict[str, Any]:
             return {"note": "request", "what": "intrusion", "text": text, "consequence": consequence}
 
 
+def _parse(text: bytes) -> dict[str, Any]:
+    try:
+        document = json.loads(text)
+    except RecursionError as error:
+        raise ValueError("a note that is nested too deeply") from error
+    if not isinstance(document, dict):
+        raise ValueError("a note that is no table")
+    return document
+
+
 def _note(document: dict[str, Any]) -> Note:
     match document:
         case {"note": "header", "format": int(number), **fields} if number <= FORMAT:
-            return Header(**fields)
+            return _checked(Header, fields)
         case {"note": "end", **fields}:
-            return End(**fields)
+            return _checked(End, fields)
         case {"note": "request", "what": "engage"}:
             return EngageRequested()
         case {"note": "request", "what": "release", "reason": str(reason)}:
             return ReleaseRequested(reason)
-        case {"note": "request", "what": "intrusion", "text": str(text), "consequence": consequence}:
-            return IntrusionNoticed(text, consequence)
+        case {"note": "request", "what": "intrusion", **fields}:
+            return _checked(IntrusionNoticed, fields)
     what = document.get("note", "nothing known")
     raise ValueError(f"note {what!r} of format {document.get('format')}; this version reads format {FORMAT}")
+
+
+def _checked(kind: type[Checked], fields: dict[str, Any]) -> Checked:
+    """A note of that kind. Raises ValueError, one line, for fields of another type or missing ones."""
+    try:
+        return TypeAdapter(kind).validate_python(fields)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise ValueError(f"{kind.__name__.lower()} of the flight: {where}: {first['msg'].lower()}") from error
 
 
 def notes(messages: Iterator[Any]) -> Iterator[Note]:

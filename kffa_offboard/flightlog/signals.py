@@ -33,6 +33,9 @@ BLOCKS = (
     "command",
     "applied",
 )
+LATEST_US = 1 << 63
+"""Times in a log are before this, what 64 bits with a sign can hold; a damaged one may say anything."""
+
 STATE_NAMES = ("waiting", "ready", "engaging", "engaged", "releasing", "failsafe")
 """`offboard.service.State` in the order of its numbers on the wire."""
 
@@ -95,10 +98,14 @@ def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Any:
     return mavlink.MAVLink_debug_float_array_message(signals.time_us, NAME.encode(), array_id, packable)
 
 
-def is_signals(message: Any) -> bool:
-    """True if `message` carries signals of this program."""
+def is_signals(message: Any, array_id: int = ARRAY_ID) -> bool:
+    """True if `message` carries signals of this program, with a state and a time that there can be."""
     return bool(
-        message.get_type() == "DEBUG_FLOAT_ARRAY" and message.name == NAME and message.array_id == ARRAY_ID
+        message.get_type() == "DEBUG_FLOAT_ARRAY"
+        and message.name == NAME
+        and message.array_id == array_id
+        and 0.0 <= message.data[_STATE] < len(STATE_NAMES)
+        and message.time_usec < LATEST_US
     )
 
 

@@ -12,7 +12,7 @@ from typing import IO, Any, TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
-from kffa_offboard.flightlog.signals import SignalTable, is_signals, table
+from kffa_offboard.flightlog.signals import LATEST_US, SignalTable, is_signals, table
 
 TIMESTAMP = struct.Struct(">Q")
 
@@ -46,7 +46,7 @@ class TlogReader:
         True once the end was reached and the last record is incomplete: the computer lost power, or
         the log is still being written. Everything before it was given out.
     damaged
-        How many frames so far had a wrong checksum; they are left out.
+        How many frames so far had a wrong checksum or an impossible time; they are left out.
 
     """
 
@@ -98,7 +98,11 @@ class TlogReader:
             if len(rest) < size - _HEAD_SIZE:
                 self.truncated = True
                 return
-            yield TIMESTAMP.unpack_from(head)[0], head[TIMESTAMP.size :] + rest
+            (time_us,) = TIMESTAMP.unpack_from(head)
+            if time_us < LATEST_US:
+                yield time_us, head[TIMESTAMP.size :] + rest
+            else:
+                self.damaged += 1
 
     def _end_or_damage(self, file: _Source, head: bytes) -> None:
         """Zeros up to the end are what a file system leaves after a power cut; anything else is no log."""

@@ -76,7 +76,7 @@ def _format(body: bytes) -> tuple[int, int, _Format] | None:
     name = body[2:6].rstrip(b"\0").decode("ascii", "replace")
     letters = body[6:22].rstrip(b"\0").decode("ascii", "replace")
     columns = body[22:86].rstrip(b"\0").decode("ascii", "replace").split(",")
-    if len(columns) != len(letters) or len(set(columns)) != len(columns):
+    if len(columns) != len(letters) or len(set(columns)) != len(columns) or not all(columns):
         return None
     if not all(letter in LETTERS for letter in letters):
         return None

@@ -14,6 +14,8 @@ NetworkKind: TypeAlias = Literal["udpin", "udpout", "tcpin", "tcp"]
 FORMS = "udpin:HOST:PORT, udpout:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT or serial:DEVICE:BAUD"
 NETWORK_KINDS = ("udpin", "udpout", "tcpin", "tcp")
 LISTENING_KINDS = ("udpin", "tcpin")
+MOST_DIGITS = 9
+"""Longer numbers are no ports and no baud rates."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,14 +66,15 @@ def parse_url(url: str) -> LinkAddress:
         raise UserError(f"link {url!r}: unknown kind {kind!r}; write {FORMS}")
     if not place or place.startswith("//"):
         raise UserError(f"link {url!r}: incomplete or not in the right form; write {FORMS}")
+    digits = number.isascii() and number.isdigit() and len(number) <= MOST_DIGITS
     if kind == "serial":
-        if not number.isascii() or not number.isdigit() or int(number) == 0:
+        if not digits or int(number) == 0:
             raise UserError(
                 f"link {url!r}: baud rate {number!r} is not a positive number; try 57600 or 921600"
             )
         return SerialAddress(place, int(number))
     lowest = 0 if kind in LISTENING_KINDS else 1
-    if not number.isascii() or not number.isdigit() or not lowest <= int(number) <= 65535:
+    if not digits or not lowest <= int(number) <= 65535:
         raise UserError(f"link {url!r}: port {number!r} is not a number from {lowest} to 65535")
     return NetworkAddress(cast(NetworkKind, kind), place.removeprefix("[").removesuffix("]"), int(number))
 

@@ -20,6 +20,9 @@ Incoming: TypeAlias = tuple[int, Any]
 Frame: TypeAlias = tuple[int, bytes]
 """Time [us] and a frame."""
 
+LONGEST_GAP_US = 86_400_000_000
+"""Between two messages; a damaged time would have years of heartbeats replayed."""
+
 _MARKER_V2 = 0xFD
 _NOTHING_OURS = (mavlink.MAVLINK_MSG_ID_TUNNEL, mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY)
 
@@ -88,8 +91,8 @@ class _Reader:
             message = self._parser.decode(bytearray(frame))
         except mavlink.MAVError:
             return  # the daemon did not understand it either
-        if is_note(message):
-            self._take_note(time_us, message)
+        if is_note(message) and (self._header is None or self._is_ours(frame)):
+            self._take_note(time_us, message)  # anybody may send something that looks like one
             return
         if self._header is None:
             raise UserError(
@@ -100,7 +103,14 @@ class _Reader:
         if self._is_ours(frame):
             (self._signals if is_signals(message) else self._sent).append((time_us, frame))
         else:
-            self._incoming.append((time_us, message))
+            self._came(time_us, message)
+
+    def _came(self, time_us: int, item: Any) -> None:
+        """Keep what came in; it came in order, and within a day."""
+        before_us = self._incoming[-1][0] if self._incoming else self._begin_us
+        if not 0 <= time_us - before_us <= LONGEST_GAP_US:
+            raise ValueError(f"time goes from {before_us / 1e6:.6f} s to {time_us / 1e6:.6f} s")
+        self._incoming.append((time_us, item))
 
     def _is_ours(self, frame: bytes) -> bool:
         return frame[0] == _MARKER_V2 and (frame[5], frame[6]) == self._own
@@ -117,7 +127,7 @@ class _Reader:
             case None:
                 pass
             case _:
-                self._incoming.append((time_us, note))
+                self._came(time_us, note)
                 self._last_us = time_us
 
     def recording(self) -> Recording:

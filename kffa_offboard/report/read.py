@@ -88,13 +88,13 @@ class _Collector:
 
     def take(self, time_us: int, message: Any) -> None:
         """Sort in one message."""
-        kind = message.get_type()
-        if is_note(message):
+        if is_note(message) and (self._own is None or self._is_own(message)):
             self._take_note(message)
-        elif kind == "DEBUG_FLOAT_ARRAY":
-            if message.name == signals.NAME and message.array_id in (signals.ARRAY_ID, signals.LIVE_ARRAY_ID):
-                (self.full if message.array_id == signals.ARRAY_ID else self.live).append(message)
         elif self._is_own(message):
+            if signals.is_signals(message):
+                self.full.append(message)
+            elif signals.is_signals(message, signals.LIVE_ARRAY_ID):
+                self.live.append(message)
             self._take_own(time_us, message)
         else:
             self._take_telemetry(time_us, message)

@@ -94,7 +94,7 @@ class Daemon:
         assert self.session.refusal is None
 
 
-@budget(25, 4_000)
+@budget(25, 1_500)
 def test_whatever_well_formed_frames_say_the_daemon_neither_fails_nor_sends_nonsense(hostile, examples):
     def check(data):
         daemon = Daemon()
@@ -115,7 +115,7 @@ def test_whatever_well_formed_frames_say_the_daemon_neither_fails_nor_sends_nons
     hostile.run(check, examples)
 
 
-@budget(25, 4_000)
+@budget(25, 1_500)
 def test_the_simulated_autopilot_takes_any_well_formed_frames(hostile, examples):
     def check(data):
         personality = data.draw(st.sampled_from(["px4", "ardupilot"]))

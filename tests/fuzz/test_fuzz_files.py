@@ -1,7 +1,9 @@
 """Configurations and flight logs with anything in them: one line for people, or they are read."""
 
 import gzip
+import json
 import string
+import struct
 from pathlib import Path
 
 import pytest
@@ -10,7 +12,8 @@ from hypothesis import strategies as st
 from kffa_offboard.config import ConfigError, bundled, load
 from kffa_offboard.config_log import config_of
 from kffa_offboard.errors import UserError
-from kffa_offboard.flightlog.tlog import read_signals, read_tlog
+from kffa_offboard.flightlog.notes import PAYLOAD_TYPE, Header, to_messages
+from kffa_offboard.flightlog.tlog import TIMESTAMP, read_signals, read_tlog
 from kffa_offboard.loganalysis.read import read_log
 from kffa_offboard.mavlink.signed_link import SigningSettings, sign_link
 from kffa_offboard.mavlink.signing_key import read_key
@@ -68,7 +71,7 @@ def one_line_for_people(error):
     return bool(str(error)) and all(0 < len(line) < 2000 for line in str(error).splitlines())
 
 
-@budget(120, 40_000)
+@budget(120, 6_000)
 def test_any_configuration_is_read_or_explained(hostile, tmp_path, examples):
     path = tmp_path / "any.toml"
 
@@ -87,7 +90,7 @@ def test_any_configuration_is_read_or_explained(hostile, tmp_path, examples):
     hostile.run(check, examples)
 
 
-@budget(60, 20_000)
+@budget(60, 6_000)
 def test_any_bytes_are_no_configuration_no_key_and_no_timestamp_and_said_to_be_none(
     hostile, tmp_path, examples
 ):
@@ -113,7 +116,7 @@ def test_any_bytes_are_no_configuration_no_key_and_no_timestamp_and_said_to_be_n
 
 
 @pytest.mark.parametrize("kind", ["tlog", "dataflash", "ulog"])
-@budget(60, 15_000)
+@budget(60, 3_000)
 def test_any_damage_to_a_log_is_read_over_or_explained(hostile, log_files, tmp_path, kind, examples):
     original = log_files[kind].read_bytes()
     path = tmp_path / f"any.{kind}"
@@ -133,7 +136,7 @@ def test_any_damage_to_a_log_is_read_over_or_explained(hostile, log_files, tmp_p
     hostile.run(check, examples)
 
 
-@budget(12, 2_000)
+@budget(12, 1_000)
 def test_any_damage_to_our_own_log_is_replayed_or_explained(hostile, tmp_path, examples):
     """The header says how the flight is set up: damaged, it is another configuration, or none."""
     path = tmp_path / "any.tlog"
@@ -151,7 +154,7 @@ def test_any_damage_to_our_own_log_is_replayed_or_explained(hostile, tmp_path, e
     hostile.run(check, examples)
 
 
-@budget(20, 5_000)
+@budget(20, 2_000)
 def test_any_damage_to_a_compressed_log_is_read_over_or_explained(hostile, tmp_path, examples):
     path = tmp_path / "any.tlog.gz"
     with gzip.open(GOLDEN) as file:
@@ -166,3 +169,86 @@ def test_any_damage_to_a_compressed_log_is_read_over_or_explained(hostile, tmp_p
                 assert one_line_for_people(error)
 
     hostile.run(check, examples)
+
+
+# ------------------------------------------------------------------- logs that somebody has made up
+
+TUNNEL = 385
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: st.lists(inner, max_size=2) | st.dictionaries(st.text(max_size=5), inner, max_size=2),
+    max_leaves=4,
+)
+
+
+def good_header():
+    """The header of the golden flight, as a document."""
+    recording = read_recording(GOLDEN)
+    pieces = [
+        bytes(message.payload[: message.payload_length])[4:] for message in to_messages(recording.header)
+    ]
+    return json.loads(b"".join(pieces))
+
+
+@st.composite
+def made_up_notes(draw, header):
+    """A note as JSON in which a key is not what it should be, or any bytes; in any number of pieces."""
+    document = dict(header)
+    for _ in range(draw(st.integers(0, 2))):
+        table = document
+        while isinstance(table.get("configuration"), dict) and draw(st.booleans()):
+            table["configuration"] = table = dict(table["configuration"])
+        key = draw(st.sampled_from(sorted(table)) | st.text(max_size=6)) if table else "x"
+        if draw(st.booleans()):
+            table[key] = draw(json_values)
+        else:
+            table.pop(key, None)
+    text = json.dumps(document).encode()
+    if draw(st.integers(0, 3)) == 0:
+        text = draw(st.binary(max_size=200) | json_values.map(lambda value: json.dumps(value).encode()))
+    return [text[at : at + 124] for at in range(0, len(text), 124)] or [b""]
+
+
+@st.composite
+def made_up_logs(draw, hostile, header):
+    """Whole frames only: notes, signals and telemetry, with any numbers and times in them."""
+    frames = []
+    for _ in range(draw(st.integers(1, 3))):
+        pieces = draw(made_up_notes(header))
+        for index, piece in enumerate(pieces):
+            chunk = struct.pack("<HH", index, len(pieces)) + piece
+            if draw(st.integers(0, 40)) == 0:
+                chunk = draw(st.binary(max_size=8))
+            length = draw(st.sampled_from([len(chunk)] * 30 + [0, 3, 255]))
+            payload = struct.pack("<HBBB", PAYLOAD_TYPE, 0, 0, length) + chunk.ljust(128, b"\0")
+            frames.append(hostile.frame(TUNNEL, payload, (245, 191)))
+    for _ in range(draw(st.integers(0, 6))):
+        numbers = draw(st.lists(st.floats(width=32), min_size=58, max_size=58))
+        body = struct.pack(
+            "<QH10s58f", draw(st.integers(0, 2**64 - 1)), draw(st.integers(0, 1)), b"kffa", *numbers
+        )
+        sender = draw(st.sampled_from([(245, 191), (1, 1)]))
+        frames.append(draw(st.just(hostile.frame(350, body, sender)) | hostile.frames))
+    times = st.integers(0, 2**64 - 1) | st.just(1_700_000_000_000_000)
+    return b"".join(TIMESTAMP.pack(draw(times)) + frame for frame in frames)
+
+
+@budget(60, 3_000)
+def test_any_log_of_whole_frames_is_read_or_explained(hostile, tmp_path, examples):
+    path, header = tmp_path / "any.tlog", good_header()
+    assert header["format"] and Header
+
+    def check(data):
+        path.write_bytes(data.draw(made_up_logs(hostile, header)))
+        for read in (read_log, lambda file: read_any(file, "any"), read_signals, replayed):
+            try:
+                read(path)
+            except UserError as error:
+                assert one_line_for_people(error)
+
+    hostile.run(check, examples)
+
+
+def replayed(path):
+    recording = read_recording(path)
+    return replay(recording, config_of(recording.header, path))

@@ -38,7 +38,7 @@ class Wire:
         return arriving
 
 
-@budget(150, 60_000)
+@budget(150, 10_000)
 def test_the_parser_finds_valid_frames_in_any_bytes_and_nothing_else(hostile, examples):
     def check(data):
         whole = data.draw(st.booleans())
@@ -58,7 +58,7 @@ def test_the_parser_finds_valid_frames_in_any_bytes_and_nothing_else(hostile, ex
     hostile.run(check, examples)
 
 
-@budget(150, 60_000)
+@budget(150, 10_000)
 def test_nothing_unsigned_gets_past_a_signing_link(hostile, examples):
     def check(data):
         wire = Wire(data.draw(st.booleans()))
@@ -81,7 +81,7 @@ def test_nothing_unsigned_gets_past_a_signing_link(hostile, examples):
     hostile.run(check, examples)
 
 
-@budget(100, 40_000)
+@budget(100, 8_000)
 def test_damaged_signed_frames_are_refused_or_unchanged(hostile, examples):
     """Whatever happens to genuine frames on the way, what comes through is one of them."""
 
@@ -99,7 +99,7 @@ def test_damaged_signed_frames_are_refused_or_unchanged(hostile, examples):
     hostile.run(check, examples)
 
 
-@budget(100, 40_000)
+@budget(100, 8_000)
 def test_the_simulated_autopilots_parser_takes_any_bytes(hostile, examples):
     def check(data):
         signing = Signing(SECRET, lambda: NOW_US) if data.draw(st.booleans()) else None
