@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from kffa_offboard.config_control import ControlTable, Table
 from kffa_offboard.config_errors import explain
+from kffa_offboard.config_process import ProcessSettings
 from kffa_offboard.config_tables import ConfigFile
 from kffa_offboard.config_tuning import ConfigTuning
 from kffa_offboard.config_tuning_file import TuningFile, TuningStore
@@ -32,6 +33,7 @@ from kffa_offboard.offboard.settings import (
     TelemetrySettings,
 )
 from kffa_offboard.offboard.tuning import TuningProblem
+from kffa_offboard.process.realtime import RealtimeSettings
 
 Record = TypeVar("Record", TelemetrySettings, LimitSettings, SequenceSettings, FlightSettings)
 
@@ -55,6 +57,7 @@ class Overrides:
     shadow: bool = False
     fix_parameters: bool = False
     trust_parameters: bool = False
+    interrupted: bool = False
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,7 @@ class DaemonConfig:
     autopilot : checking of its parameters
     tuning : what may be changed in flight; its settings are `service`
     signals_hz : rate of the inner signals on the wire; 0 for none
+    process, realtime : what the daemon does as a process
     """
 
     path: Path
@@ -113,6 +117,8 @@ class DaemonConfig:
     autopilot: AutopilotSettings
     tuning: ConfigTuning
     signals_hz: float
+    process: ProcessSettings
+    realtime: RealtimeSettings
 
 
 def bundled(name: str) -> Path:
@@ -185,6 +191,8 @@ def build(
         autopilot=_autopilot(tables, overrides),
         tuning=tuning,
         signals_hz=tables.signals.rate_hz,
+        process=tables.process.settings(),
+        realtime=tables.realtime.settings(),
     )
 
 
@@ -227,6 +235,7 @@ def _service(tables: ConfigFile, overrides: Overrides) -> ServiceSettings:
         engage=overrides.engage,
         arm=overrides.arm,
         shadow=overrides.shadow,
+        interrupted=overrides.interrupted,
         failsafe_action=tables.failsafe.action,
         telemetry=_record(TelemetrySettings, tables.telemetry),
         limits=limits,

@@ -15,6 +15,7 @@ from pydantic import Field, field_validator, model_validator
 from kffa_offboard.config_control import ControlTable, Table
 from kffa_offboard.config_payload import PayloadTable
 from kffa_offboard.config_position import PositionTable
+from kffa_offboard.config_process import ProcessTable, RealtimeTable
 from kffa_offboard.config_units import number
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.address import parse_url
@@ -393,4 +394,6 @@ class ConfigFile(Table):
     scenario: ScenarioTable = ScenarioTable()
     parameters: ParametersTable = ParametersTable()
     signals: SignalsTable = SignalsTable()
+    process: ProcessTable = ProcessTable()
+    realtime: RealtimeTable = RealtimeTable()
     log: LogTable = LogTable()

@@ -1,9 +1,9 @@
 """What a log must hold beside frames and signals, so that the flight can be repeated from it.
 
-Three kinds of note: the header (program, versions, configuration), requests from the daemon's own
-command line or process (they come in no MAVLink message), and the end. Each is a JSON object, cut
-into TUNNEL messages with a payload type of our own; ground stations pass over them. They are only ever
-in the file: none is sent.
+Four kinds of note: the header (program, versions, configuration), requests from the daemon's own
+command line or process (they come in no MAVLink message), reports of the process, and the end. Each is a
+JSON object, cut into TUNNEL messages with a payload type of our own; ground stations pass over them. They
+are only ever in the file: none is sent.
 """
 
 from __future__ import annotations
@@ -11,12 +11,18 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.offboard.events import EngageRequested, ReleaseRequested
+from kffa_offboard.offboard.events import (
+    EngageRequested,
+    ProcessReport,
+    ReleaseRequested,
+    StepTiming,
+    Trouble,
+)
 
 PAYLOAD_TYPE = 52038
 """TUNNEL.payload_type of a note; those from 32768 on are free for private use."""
@@ -28,7 +34,7 @@ _CHUNK = struct.Struct("<HH")  # index, count
 _PAYLOAD_SIZE = 128
 _TEXT_SIZE = _PAYLOAD_SIZE - _CHUNK.size
 
-NoteKind: TypeAlias = Literal["header", "request", "end"]
+NoteKind: TypeAlias = Literal["header", "request", "report", "end"]
 Request: TypeAlias = EngageRequested | ReleaseRequested
 
 
@@ -68,7 +74,7 @@ class End:
     frames_dropped: int = 0
 
 
-Note: TypeAlias = Header | Request | End
+Note: TypeAlias = Header | Request | ProcessReport | End
 
 
 def to_messages(note: Note) -> list[Any]:
@@ -122,6 +128,10 @@ def _document(note: Note) -> dict[str, Any]:
             return {"note": "request", "what": "engage"}
         case ReleaseRequested(reason):
             return {"note": "request", "what": "release", "reason": reason}
+        case StepTiming():
+            return {"note": "report", "what": "timing", **asdict(note)}
+        case Trouble(text):
+            return {"note": "report", "what": "trouble", "text": text}
 
 
 def _note(document: dict[str, Any]) -> Note:
@@ -134,6 +144,10 @@ def _note(document: dict[str, Any]) -> Note:
             return EngageRequested()
         case {"note": "request", "what": "release", "reason": str(reason)}:
             return ReleaseRequested(reason)
+        case {"note": "report", "what": "timing", **fields}:
+            return StepTiming(**{name: value for name, value in fields.items() if name != "what"})
+        case {"note": "report", "what": "trouble", "text": str(text)}:
+            return Trouble(text)
     what = document.get("note", "nothing known")
     raise ValueError(f"note {what!r} of format {document.get('format')}; this version reads format {FORMAT}")
 

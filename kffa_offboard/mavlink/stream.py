@@ -69,7 +69,7 @@ class StreamLink(ABC):
         )
         if writable:
             self._flush()
-        if not readable:
+        if not readable or not self._is_open():
             return []
         try:
             data = self._read()
@@ -90,12 +90,14 @@ class StreamLink(ABC):
             return False
         if self._unsent:
             self._flush()
+            if not self._is_open():
+                return False
         if len(self._unsent) + len(data) > UNSENT_LIMIT:
             self.trouble = "the line is too slow for this traffic, or nobody reads it"
             return False
         self._unsent += data
         self._flush()
-        return True
+        return self._is_open()
 
     def _flush(self) -> None:
         try:

@@ -20,13 +20,14 @@ class LinkLost(UserError):
 class Datagram:
     """Bytes that arrived together.
 
-    `time_us` is the arrival time on the link's clock; `source` tells senders apart (each has its own
-    stream of frames).
+    `time_us` is the time of reading on the link's clock; `source` tells senders apart (each has its own
+    stream of frames); `waited_us` is how long it was in the operating system's hands before, if known.
     """
 
     time_us: int
     data: bytes
     source: Hashable
+    waited_us: int = 0
 
 
 class Link(Protocol):

@@ -6,6 +6,9 @@ import errno
 import logging
 import select
 import socket
+import struct
+import sys
+import time
 from collections.abc import Hashable
 
 from kffa_offboard.errors import UserError
@@ -20,6 +23,12 @@ DATAGRAMS_AT_ONCE = 256
 
 RECEIVE_BUFFER = 1 << 20
 
+_TIMESTAMP = 35 if sys.platform == "linux" else None
+"""SO_TIMESTAMPNS, socket(7): each datagram comes with the wall time at which the kernel got it."""
+
+_STAMP = struct.Struct("@qq")  # seconds, nanoseconds
+_ANCILLARY_SIZE = socket.CMSG_SPACE(_STAMP.size)
+
 
 def _open_socket(address: NetworkAddress) -> socket.socket:
     family, place = resolve(address)
@@ -27,6 +36,8 @@ def _open_socket(address: NetworkAddress) -> socket.socket:
     try:
         opened.setblocking(False)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        if _TIMESTAMP is not None:
+            opened.setsockopt(socket.SOL_SOCKET, _TIMESTAMP, 1)
         if address.listens:
             opened.bind(place)
         else:
@@ -72,6 +83,7 @@ class UdpLink:
         self._clock = clock
         self._listens = address.listens
         self._peer: Hashable | None = None
+        self._received_us = clock()
         self.trouble = ""
         port = int(self._socket.getsockname()[1]) if address.listens else address.port
         self.name = NetworkAddress(address.kind, address.host, port).url
@@ -82,16 +94,26 @@ class UdpLink:
         datagrams: list[Datagram] = []
         for _ in range(DATAGRAMS_AT_ONCE):
             try:
-                data, source = self._socket.recvfrom(DATAGRAM_SIZE)
+                data, ancillary, _, source = self._socket.recvmsg(DATAGRAM_SIZE, _ANCILLARY_SIZE)
             except BlockingIOError:
                 break
             except OSError as error:
                 self._note(error)
                 continue
             if self._peer is None or source == self._peer:
-                datagrams.append(Datagram(self._clock(), data, source))
+                now_us = self._clock()
+                datagrams.append(Datagram(now_us, data, source, self._waited_us(now_us, ancillary)))
                 self.trouble = ""
+        self._received_us = self._clock()
         return datagrams
+
+    def _waited_us(self, now_us: int, ancillary: list[tuple[int, int, bytes]]) -> int:
+        """How long the kernel had a datagram; at most since we last looked, whatever wall time does."""
+        if not ancillary or len(ancillary[0][2]) != _STAMP.size:
+            return 0
+        seconds, nanoseconds = _STAMP.unpack(ancillary[0][2])
+        waited_us = (time.time_ns() - int(seconds) * 1_000_000_000 - int(nanoseconds)) // 1000
+        return max(0, min(waited_us, now_us - self._received_us))
 
     def send(self, data: bytes) -> bool:
         """See `transport.Link`."""
