@@ -134,6 +134,9 @@ def run(
     arm. The pilot wins at once: any mode change or disarming that it did not ask for ends its sending.
     Ctrl-C gives control back, closes the log and ends.
     """
+    from kffa_offboard.lean_imports import load_kalman_filter_alone
+
+    load_kalman_filter_alone()  # before whatever imports the control law
     from kffa_offboard.cli_run import run as fly
     from kffa_offboard.cli_vehicle import RunOptions
     from kffa_offboard.config import Overrides, load

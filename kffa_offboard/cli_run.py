@@ -13,9 +13,7 @@ from dataclasses import replace
 from types import FrameType
 from typing import Any
 
-from rich.console import Console
-
-from kffa_offboard.cli_status import StatusBoard
+from kffa_offboard.cli_status import StatusBoard, StatusConsole, complain
 from kffa_offboard.cli_vehicle import RunOptions, Shared, VehicleRun, open_vehicle
 from kffa_offboard.config import DaemonConfig
 from kffa_offboard.errors import UserError
@@ -63,7 +61,7 @@ def _drive(vehicle: VehicleRun, options: RunOptions, shared: Shared, stop: threa
 @contextmanager
 def shared_parts(realtime: RealtimeSettings) -> Iterator[Shared]:
     """What all vehicles of a process have in common; lines are shown until the end of the block."""
-    console, manager = Console(stderr=True), ServiceManager()
+    console, manager = StatusConsole(), ServiceManager()
     collector = Collector(realtime.collect_s if realtime.enabled else None)
     try:
         with StatusBoard(console, manager) as board:
@@ -85,7 +83,7 @@ def prepare(realtime: RealtimeSettings, shared: Shared) -> None:
     if problems and realtime.required:
         raise UserError("\n".join(f"{each}; or set realtime.required = false" for each in problems))
     for problem in problems:
-        shared.console.print(f"warning: {problem}", soft_wrap=True, highlight=False)
+        shared.console.tell(f"warning: {problem}")
     shared.manager.ready()
 
 
@@ -118,18 +116,16 @@ def reason(result: RunResult) -> str:
     return finished.reason if isinstance(finished, Finished) else "stopped before control was given back"
 
 
-def report(console: Console, result: RunResult, vehicle: VehicleRun, options: RunOptions) -> int:
+def report(console: StatusConsole, result: RunResult, vehicle: VehicleRun, options: RunOptions) -> int:
     """Say how the run ended and return the exit status."""
     finished = result.finished
     assert finished is None or isinstance(finished, Finished)
     successful = finished is not None and finished.successful and result.refusal is None
     counters, name = result.counters, f"{vehicle.name}: " if vehicle.name else ""
-    console.print(
+    console.tell(
         f"{name}{counters.telemetry_received} telemetry messages received, "
         f"{counters.commands_sent} commands sent"
-        + (f"; log: {vehicle.log}" if vehicle.log is not None else ""),
-        soft_wrap=True,
-        highlight=False,
+        + (f"; log: {vehicle.log}" if vehicle.log is not None else "")
     )
     if options.json:
         summary = {
@@ -144,7 +140,7 @@ def report(console: Console, result: RunResult, vehicle: VehicleRun, options: Ru
         }
         print(json.dumps(summary), flush=True)
     if not successful:
-        print(f"error: {name}{result.refusal or reason(result)}", file=sys.stderr)
+        complain(f"{name}{result.refusal or reason(result)}")
     if result.stopped:
         return INTERRUPTED
     return 0 if successful else FAILED

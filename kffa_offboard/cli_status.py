@@ -6,8 +6,10 @@ delays control; what is more than it can take is dropped. A terminal that is gon
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections import deque
+from contextlib import suppress
 from math import isnan, nan
 from types import TracebackType
 
@@ -45,6 +47,28 @@ _STYLES = {
     Severity.NOTICE: "green",
     Severity.INFO: "",
 }
+
+
+class StatusConsole(Console):
+    """The terminal; one that is gone is an error that can be caught, and does not end the process."""
+
+    def __init__(self) -> None:
+        super().__init__(stderr=True)
+
+    def on_broken_pipe(self) -> None:
+        """See `rich.console.Console`."""
+        raise BrokenPipeError
+
+    def tell(self, text: str) -> None:
+        """A plain line, if anybody can see it."""
+        with suppress(OSError):
+            self.print(text, soft_wrap=True, highlight=False, markup=False)
+
+
+def complain(text: str) -> None:
+    """A line of error, as all commands write it, if anybody can see it."""
+    with suppress(OSError):
+        print(f"error: {text}", file=sys.stderr, flush=True)
 
 
 class RateCounter:
@@ -115,7 +139,7 @@ class StatusBoard:
             self._show()
             if self._live is not None:
                 self._live.stop()
-        except (OSError, SystemExit):  # rich ends the process when a pipe is closed; we fly on
+        except OSError:  # nobody looks any more; we fly on
             self._lines.clear()
             while not self._ended:
                 self._wake.wait()

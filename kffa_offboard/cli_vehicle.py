@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from rich.console import Console
-
-from kffa_offboard.cli_status import StatusBoard
+from kffa_offboard.cli_status import StatusBoard, StatusConsole, complain
 from kffa_offboard.config import DaemonConfig
 from kffa_offboard.config_log import flight_header, make_companion, parameter_keeper
 from kffa_offboard.flightlog.writer import TlogWriter
@@ -46,7 +43,7 @@ class Shared:
     """What all vehicles of a process have in common."""
 
     clock: Clock
-    console: Console
+    console: StatusConsole
     board: StatusBoard
     manager: ServiceManager
     collector: Collector
@@ -116,21 +113,19 @@ def open_vehicle(
 
 
 def _after_interruption(
-    config: DaemonConfig, options: RunOptions, mark: FlightMark, console: Console
+    config: DaemonConfig, options: RunOptions, mark: FlightMark, console: StatusConsole
 ) -> DaemonConfig:
     """The configuration of a run that may have been started again in flight."""
     if not config.service.engage:
         return config
     obstacle = mark.obstacle()
     if obstacle is not None:
-        console.print(f"warning: {obstacle}", soft_wrap=True, highlight=False)
+        console.tell(f"warning: {obstacle}")
     if not mark.found or options.reengage or config.process.reengage:
         return config
-    console.print(
+    console.tell(
         f"an earlier run had control when the vehicle was last seen armed ({mark.path}); if it still is, "
-        "this one only observes until asked to engage (--reengage engages by itself)",
-        soft_wrap=True,
-        highlight=False,
+        "this one only observes until asked to engage (--reengage engages by itself)"
     )
     return replace(
         config,
@@ -153,10 +148,7 @@ def _say_what_is_left(session: Session, file: ParameterFile) -> None:
         values = ", ".join(
             f"{change.name} {change.old:g} (is {change.new:g})" for change in session.changed_parameters
         )
-        print(
-            f"error: parameters not put back: {values}; the next run does it from {file.path}",
-            file=sys.stderr,
-        )
+        complain(f"parameters not put back: {values}; the next run does it from {file.path}")
 
 
 def _log_writer(
@@ -171,15 +163,13 @@ def _log_writer(
     )
 
 
-def _say_begin(console: Console, config: DaemonConfig, link: Link, name: str) -> None:
+def _say_begin(console: StatusConsole, config: DaemonConfig, link: Link, name: str) -> None:
     """Where the vehicle is expected, and which parameters are not the configuration's own."""
     prefix = f"{name}: " if name else ""
-    console.print(f"{prefix}waiting for a vehicle on {link.name}", soft_wrap=True, highlight=False)
+    console.tell(f"{prefix}waiting for a vehicle on {link.name}")
     changed = ", ".join(f"{key} = {value:g}" for key, value in config.tuning.changes.items())
     if changed and config.tuning.store is not None:
-        console.print(
-            f"{prefix}parameters of {config.tuning.store.path}: {changed}", soft_wrap=True, highlight=False
-        )
+        console.tell(f"{prefix}parameters of {config.tuning.store.path}: {changed}")
 
 
 def _log_path(config: DaemonConfig, options: RunOptions, name: str) -> Path | None:

@@ -109,6 +109,7 @@ class RealTimeLoop:
         self._connect_timeout_s = connect_timeout_s
         self._watch = watch
         self._started_us = self._turned_us = clock()
+        self._watched_us: int | None = None
         self._let_go_by_us: int | None = None
 
     def goes_on(self) -> bool:
@@ -146,6 +147,7 @@ class RealTimeLoop:
                 if message.get_type() == "ATTITUDE" and session.route.from_target(message):
                     self._watch.step(datagram.time_us - datagram.waited_us, self._clock())
         if not session.done:
+            self._watch_deadline()
             session.advance(self._clock())
         self._turned_us = self._clock()
         for report in self._watch.turned(self._turned_us):
@@ -161,7 +163,8 @@ class RealTimeLoop:
     def _watch_deadline(self) -> None:
         """What was due by the last turn was done then, so nothing can be later than since then."""
         due_us, now_us = self.session.next_deadline(), self._clock()
-        if due_us is not None and due_us <= now_us:
+        if due_us is not None and due_us <= now_us and due_us != self._watched_us:
+            self._watched_us = due_us
             self._watch.deadline(max(due_us, self._turned_us), now_us)
 
 

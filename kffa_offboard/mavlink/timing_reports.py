@@ -36,6 +36,6 @@ class TimingReports:
         quiet = self._said_us is not None and time_us - self._said_us < TEXT_PERIOD_US
         if late == self._late or quiet:
             return []
-        text = f"{late - self._late} late steps, longest {1e3 * self._longest_s:.0f} ms"
+        text = f"late steps: {late - self._late}, longest {1e3 * self._longest_s:.0f} ms"
         self._late, self._said_us, self._longest_s = late, time_us, 0.0
         return [Announce(Severity.WARNING, text)]
