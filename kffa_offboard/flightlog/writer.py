@@ -82,7 +82,7 @@ class TlogWriter:
         self._records: deque[bytes] = deque()
         self._stop = threading.Event()
         self._dropped = 0
-        self._said: str | None = None
+        self._said: set[str] = set()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="flight log", daemon=True)
         self._thread.start()
@@ -127,10 +127,10 @@ class TlogWriter:
         trouble = self._sink.trouble
         if trouble is None and self._dropped:
             trouble = "the disk is too slow"
-        if trouble == self._said:
+        if trouble is None or trouble in self._said:
             return None
-        self._said = trouble
-        return None if trouble is None else f"flight log: {trouble}"
+        self._said.add(trouble)
+        return f"flight log: {trouble}"
 
     def close(self) -> None:
         """Write what is waiting and close the file. May be called twice.
