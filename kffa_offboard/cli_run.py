@@ -40,9 +40,11 @@ def run(config: DaemonConfig, options: RunOptions) -> int:
             stop = stack.enter_context(stop_on_signals())
             vehicle = stack.enter_context(open_vehicle(config, options, shared))
             prepare(realtime, shared)
-            result = _drive(vehicle, options, shared, stop)
+            try:
+                result = _drive(vehicle, options, shared, stop)
+            finally:
+                shared.manager.stopping()
             vehicle.session.close(reason(result))
-            shared.manager.stopping()
     except KeyboardInterrupt:  # a second Ctrl-C: at once, but the log is closed
         return INTERRUPTED
     status = report(shared.console, result, vehicle, options)
