@@ -20,6 +20,8 @@ def cost(rate_hz: float) -> dict[str, float]:
         began, used = time.perf_counter(), flying.processor_s()
         trips, missed = flying.probe.round_trips(rate_hz, DURATION_S)
         elapsed, used = time.perf_counter() - began, flying.processor_s() - used
+        if flying.process.poll() is not None:
+            raise SystemExit("error: control ended on the way; the machine is too busy to measure")
         return {
             "of a core [%]": round(100.0 * used / elapsed, 1),
             "processor time per setpoint [us]": round(1e6 * used / max(len(trips), 1)),

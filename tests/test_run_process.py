@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import kffa_offboard
+from kffa_offboard import cli, cli_run
 from kffa_offboard.cli_vehicle import RunOptions, _log_path
 from kffa_offboard.config import bundled, load
 from kffa_offboard.mavlink.shell import real_time_clock
@@ -109,10 +110,28 @@ def test_a_log_of_the_same_second_gets_another_name(tmp_path, monkeypatch):
     ]
 
 
-@pytest.mark.parametrize("flag", ["--lockstep"])
-def test_real_time_and_lock_step_contradict_each_other(flag, capsys):
-    from kffa_offboard import cli
+def said_by(capsys, *options):
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["run", "--config", str(bundled("px4-udp.toml")), *options])
+    assert ended.value.code == 2
+    return capsys.readouterr().err.splitlines()[-1]
 
-    with pytest.raises(SystemExit):
-        cli.main(["run", "--config", str(bundled("px4-udp.toml")), "--realtime", flag])
-    assert "--realtime is for flying by the clock" in capsys.readouterr().err
+
+def test_real_time_and_lock_step_contradict_each_other(capsys):
+    assert "--realtime is for flying by the clock" in said_by(capsys, "--realtime", "--lockstep")
+
+
+def test_a_log_directory_that_cannot_be_written_is_said_at_the_start(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    log = tmp_path / "file" / "logs" / "flight.tlog"
+    said = said_by(capsys, "--link", "udpin:127.0.0.1:0", "--log", str(log))
+    assert said.startswith(f"error: cannot make directory {log.parent} for the flight log: ")
+    assert said.endswith("; choose another log.directory")
+
+
+def test_real_time_that_is_required_and_not_permitted_is_said_before_flying(monkeypatch, tmp_path, capsys):
+    refusal = "cannot run with SCHED_FIFO priority 50 (realtime.priority): not permitted; ask"
+    monkeypatch.setattr(cli_run, "become_real_time", lambda settings: [refusal])
+    log = ("--link", "udpin:127.0.0.1:0", "--log", str(tmp_path / "flight.tlog"))
+    said = said_by(capsys, "--realtime", *log)
+    assert said == f"error: {refusal}; or set realtime.required = false"
