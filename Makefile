@@ -48,6 +48,7 @@ bench: $(VENV)/.base
 	$(BIN)/python benchmarks/startup.py
 	$(BIN)/python benchmarks/cost.py
 	$(BIN)/python benchmarks/jitter.py
+	$(BIN)/python benchmarks/fleet.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check

@@ -53,12 +53,18 @@ class Daemon:
         return summary
 
 
+def patient_config(directory: Path, port: int) -> Path:
+    """`common.daemon_config` for a machine that is busy."""
+    config = daemon_config(directory, port)
+    config.write_text(config.read_text().replace("[telemetry]\n", f"[telemetry]\n{PATIENT}"))
+    return config
+
+
 @contextmanager
 def daemon(directory: Path, *options: str) -> Iterator[Daemon]:
     """A daemon with a log that is to engage; it has ended afterwards."""
     port = free_port()
-    config = daemon_config(directory, port)
-    config.write_text(config.read_text().replace("[telemetry]\n", f"[telemetry]\n{PATIENT}"))
+    config = patient_config(directory, port)
     command = [sys.executable, "-m", "kffa_offboard", "run", "--config", str(config), "--engage", "--json"]
     command += ["--log", str(directory / "flight.tlog"), *options]
     probe = Probe(port)

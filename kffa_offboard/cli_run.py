@@ -3,31 +3,61 @@
 from __future__ import annotations
 
 import faulthandler
-import json
 import signal
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from types import FrameType
 from typing import Any
 
-from kffa_offboard.cli_status import StatusBoard, StatusConsole, complain
+from kffa_offboard.cli_fleet import Fleet
+from kffa_offboard.cli_report import FAILED, INTERRUPTED, reason, report
+from kffa_offboard.cli_status import StatusBoard, StatusConsole
 from kffa_offboard.cli_vehicle import RunOptions, Shared, VehicleRun, open_vehicle
 from kffa_offboard.config import DaemonConfig
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.shell import RunResult, real_time_clock, run_lock_step, run_real_time
-from kffa_offboard.offboard.service import Finished
 from kffa_offboard.process.notify import ServiceManager
 from kffa_offboard.process.realtime import Collector, RealtimeSettings, become_real_time
 
-INTERRUPTED = 130
-FAILED = 1
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def run(config: DaemonConfig, options: RunOptions) -> int:
+def run(configs: Mapping[str, DaemonConfig], options: RunOptions) -> int:
+    """Fly one vehicle, or several that have names, and return the exit status. Raises as `run_one`."""
+    if len(configs) > 1:
+        return run_several(configs, options)
+    (config,) = configs.values()
+    return run_one(config, options)
+
+
+def run_several(configs: Mapping[str, DaemonConfig], options: RunOptions) -> int:
+    """Fly several vehicles in one loop; what happens to one does not touch the others.
+
+    Returns 130 if they were stopped, else 1 if anything went wrong with one of them, else 0.
+    """
+    realtime = replace(next(iter(configs.values())).realtime)
+    realtime = replace(realtime, enabled=realtime.enabled or options.realtime)
+    try:
+        with ExitStack() as stack:
+            shared = stack.enter_context(shared_parts(realtime))
+            stop = stack.enter_context(stop_on_signals())
+            fleet = stack.enter_context(Fleet(shared, options, stop))
+            for name, config in configs.items():
+                fleet.open(name, config)
+            prepare(realtime, shared)
+            try:
+                fleet.fly()
+            finally:
+                shared.manager.stopping()
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    return INTERRUPTED if stop.is_set() else fleet.status
+
+
+def run_one(config: DaemonConfig, options: RunOptions) -> int:
     """Fly `config` and return the exit status: 0 done, 1 failed, 130 stopped.
 
     Raises UserError for a busy port, a missing device, no vehicle, a log that cannot be written, or real-time
@@ -110,39 +140,3 @@ def stop_on_signals() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def reason(result: RunResult) -> str:
-    """Why a run ended, in words."""
-    finished = result.finished
-    return finished.reason if isinstance(finished, Finished) else "stopped before control was given back"
-
-
-def report(console: StatusConsole, result: RunResult, vehicle: VehicleRun, options: RunOptions) -> int:
-    """Say how the run ended and return the exit status."""
-    finished = result.finished
-    assert finished is None or isinstance(finished, Finished)
-    successful = finished is not None and finished.successful and result.refusal is None
-    counters, name = result.counters, f"{vehicle.name}: " if vehicle.name else ""
-    console.tell(
-        f"{name}{counters.telemetry_received} telemetry messages received, "
-        f"{counters.commands_sent} commands sent"
-        + (f"; log: {vehicle.log}" if vehicle.log is not None else "")
-    )
-    if options.json:
-        summary = {
-            **({"vehicle": vehicle.name} if vehicle.name else {}),
-            "reason": result.refusal or reason(result),
-            "successful": successful and not result.stopped,
-            "stopped": result.stopped,
-            "telemetry_received": counters.telemetry_received,
-            "commands_sent": counters.commands_sent,
-            "frames_dropped": counters.frames_dropped,
-            **vehicle.watch.summary(),
-        }
-        print(json.dumps(summary), flush=True)
-    if not successful:
-        complain(f"{name}{result.refusal or reason(result)}")
-    if result.stopped:
-        return INTERRUPTED
-    return 0 if successful else FAILED

@@ -109,6 +109,7 @@ class RealTimeLoop:
         self._connect_timeout_s = connect_timeout_s
         self._watch = watch
         self._started_us = self._turned_us = clock()
+        self._due_us: int | None = None
         self._watched_us: int | None = None
         self._let_go_by_us: int | None = None
 
@@ -132,22 +133,23 @@ class RealTimeLoop:
 
     def wait_s(self) -> float:
         """How long nothing is due."""
-        deadline_us = self.session.next_deadline()
-        if deadline_us is None:
+        self._due_us = self.session.next_deadline()
+        if self._due_us is None:
             return LONGEST_SLEEP_S
-        return min(max((deadline_us - self._clock()) / 1e6, 0.0), LONGEST_SLEEP_S)
+        return min(max((self._due_us - self._clock()) / 1e6, 0.0), LONGEST_SLEEP_S)
 
     def turn(self, datagrams: Sequence[Datagram]) -> None:
         """Handle what arrived, do what is due, report."""
         session = self.session
-        self._watch_deadline()
+        self._watch_deadline(self._due_us)
         for datagram in datagrams:
             for message in session.read(datagram):
                 take_message(session, datagram.time_us, message)
                 if message.get_type() == "ATTITUDE" and session.route.from_target(message):
                     self._watch.step(datagram.time_us - datagram.waited_us, self._clock())
         if not session.done:
-            self._watch_deadline()
+            if datagrams:
+                self._watch_deadline(session.next_deadline())
             session.advance(self._clock())
         self._turned_us = self._clock()
         for report in self._watch.turned(self._turned_us):
@@ -160,9 +162,9 @@ class RealTimeLoop:
             session.report(self._clock(), report)
         return RunResult(session.counters, session.service.finished, self._stop.is_set(), session.refusal)
 
-    def _watch_deadline(self) -> None:
+    def _watch_deadline(self, due_us: int | None) -> None:
         """What was due by the last turn was done then, so nothing can be later than since then."""
-        due_us, now_us = self.session.next_deadline(), self._clock()
+        now_us = self._clock()
         if due_us is not None and due_us <= now_us and due_us != self._watched_us:
             self._watched_us = due_us
             self._watch.deadline(max(due_us, self._turned_us), now_us)

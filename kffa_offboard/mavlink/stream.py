@@ -58,6 +58,11 @@ class StreamLink(ABC):
         """See `transport.Link`. A stream has only one sender; losing it is now losing the vehicle."""
         self._locked = True
 
+    @property
+    def descriptor(self) -> int | None:
+        """See `transport.Link`."""
+        return self._file_descriptor() if self._is_open() else None
+
     def receive(self, timeout_s: float) -> list[Datagram]:
         """See `transport.Link`."""
         if not self._is_open():

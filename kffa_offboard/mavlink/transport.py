@@ -45,6 +45,10 @@ class Link(Protocol):
     def trouble(self) -> str:
         """Why nothing may be arriving ("connection refused"); empty if nothing is known to be wrong."""
 
+    @property
+    def descriptor(self) -> int | None:
+        """What to wait for in select until there is something to receive; None while there is nothing."""
+
     def receive(self, timeout_s: float) -> list[Datagram]:
         """Wait at most `timeout_s` for data, then return what is there, in order of arrival.
 

@@ -83,10 +83,15 @@ class UdpLink:
         self._clock = clock
         self._listens = address.listens
         self._peer: Hashable | None = None
-        self._received_us = clock()
+        self._received_us: int | None = None
         self.trouble = ""
         port = int(self._socket.getsockname()[1]) if address.listens else address.port
         self.name = NetworkAddress(address.kind, address.host, port).url
+
+    @property
+    def descriptor(self) -> int | None:
+        """See `transport.Link`."""
+        return self._socket.fileno()
 
     def receive(self, timeout_s: float) -> list[Datagram]:
         """See `transport.Link`. Datagrams of others than the locked sender are dropped."""
@@ -109,7 +114,7 @@ class UdpLink:
 
     def _waited_us(self, now_us: int, ancillary: list[tuple[int, int, bytes]]) -> int:
         """How long the kernel had a datagram; at most since we last looked, whatever wall time does."""
-        if not ancillary or len(ancillary[0][2]) != _STAMP.size:
+        if self._received_us is None or not ancillary or len(ancillary[0][2]) != _STAMP.size:
             return 0
         seconds, nanoseconds = _STAMP.unpack(ancillary[0][2])
         waited_us = (time.time_ns() - int(seconds) * 1_000_000_000 - int(nanoseconds)) // 1000

@@ -35,6 +35,8 @@ class _NoLink:
     keeps_frames_whole = True
     trouble = ""
 
+    descriptor = None
+
     def receive(self, timeout_s: float) -> list[Datagram]:
         return []
 
