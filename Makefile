@@ -15,7 +15,7 @@ help:
 	@echo "make test-grid        every seed with both autopilots and both outputs: some minutes"
 	@echo "make lint             the same without pytest"
 	@echo "make install-clients  MAVProxy and MAVSDK too, for the tests that fly the simulator with them (1 GB)"
-	@echo "make bench            latency, replay and start-up measured; benchmarks/results.json"
+	@echo "make bench            latency, replay, start-up, cost and jitter measured; benchmarks/results.json"
 	@echo "make clean            remove $(VENV), caches and builds"
 
 install: $(VENV)/.base
@@ -46,6 +46,9 @@ bench: $(VENV)/.base
 	$(BIN)/python benchmarks/latency.py
 	$(BIN)/python benchmarks/replay.py
 	$(BIN)/python benchmarks/startup.py
+	$(BIN)/python benchmarks/cost.py
+	$(BIN)/python benchmarks/jitter.py
+	$(BIN)/python benchmarks/fleet.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check

@@ -73,6 +73,10 @@ class Probe:
         self._began = time.perf_counter()
         self._random = random.Random(0)
 
+    def fileno(self) -> int:
+        """For select."""
+        return self._socket.fileno()
+
     def close(self) -> None:
         """Release the port."""
         self._socket.close()

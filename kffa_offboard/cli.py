@@ -63,12 +63,19 @@ def _common(
         "    kffa-offboard run --config px4-udp.toml --shadow    (watch only)\n\n"
         "    kffa-offboard run --config px4-udp.toml --engage    (a person arms)\n\n"
         "    kffa-offboard run --config serial.toml --link serial:/dev/ttyS0:921600\n\n"
+        "    kffa-offboard run --config north.toml --config south.toml    (two vehicles)\n\n"
         "Exit status: 0 scenario done or released, 1 failsafe or failure, 2 wrong usage or no vehicle, "
-        "130 stopped by Ctrl-C or SIGTERM."
+        "130 stopped by Ctrl-C, SIGTERM or SIGHUP."
     )
 )
 def run(
-    config: Annotated[Path, typer.Option(help="Configuration (TOML); those in configs/ are examples.")],
+    config: Annotated[
+        list[Path],
+        typer.Option(
+            help="Configuration (TOML); those in configs/ are examples. Several, each after a --config of "
+            "its own, fly as many vehicles."
+        ),
+    ],
     link: Annotated[
         str | None,
         typer.Option(
@@ -113,6 +120,17 @@ def run(
     trust_params: Annotated[
         bool, typer.Option("--trust-params", help="Do not read and judge the autopilot's parameters.")
     ] = False,
+    realtime: Annotated[
+        bool,
+        typer.Option(
+            "--realtime",
+            help="Run with real-time scheduling, locked memory and on one core ([realtime] in the file).",
+        ),
+    ] = False,
+    reengage: Annotated[
+        bool,
+        typer.Option("--reengage", help="With --engage: also after a restart in flight, by whatever cause."),
+    ] = False,
     json: Annotated[
         bool, typer.Option("--json", help="Print a summary as one JSON object at the end.")
     ] = False,
@@ -123,9 +141,13 @@ def run(
     arm. The pilot wins at once: any mode change or disarming that it did not ask for ends its sending.
     Ctrl-C gives control back, closes the log and ends.
     """
-    from kffa_offboard.cli_run import RunOptions
+    from kffa_offboard.lean_imports import load_kalman_filter_alone
+
+    load_kalman_filter_alone()  # before whatever imports the control law
     from kffa_offboard.cli_run import run as fly
-    from kffa_offboard.config import Overrides, load
+    from kffa_offboard.cli_vehicle import RunOptions
+    from kffa_offboard.config import Overrides
+    from kffa_offboard.config_fleet import load_fleet
 
     if shadow and (arm or engage):
         raise UserError("--shadow only observes; leave out --arm and --engage, or --shadow")
@@ -144,7 +166,12 @@ def run(
         fix_parameters=fix_params,
         trust_parameters=trust_params,
     )
-    status = fly(load(config, overrides), RunOptions(lockstep=lockstep, log=log, json=json))
+    if realtime and lockstep:
+        raise UserError("--realtime is for flying by the clock, --lockstep is not; leave out one of them")
+    options = RunOptions(lockstep=lockstep, log=log, json=json, realtime=realtime, reengage=reengage)
+    if len(config) > 1 and (lockstep or log is not None or link is not None):
+        raise UserError("--lockstep, --log and --link are for one vehicle; put them into the configurations")
+    status = fly(load_fleet(config, overrides), options)
     raise typer.Exit(status)
 
 

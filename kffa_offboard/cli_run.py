@@ -1,146 +1,138 @@
-"""Flying: link, service, log and status line joined, until the scenario is done or somebody stops it."""
+"""Flying: one vehicle or several in one process, until the scenarios are done or somebody stops them."""
 
 from __future__ import annotations
 
-import json
+import faulthandler
 import signal
 import sys
 import threading
-import time
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from types import FrameType
 from typing import Any
 
-from rich.console import Console
-
-from kffa_offboard.cli_status import StatusDisplay
+from kffa_offboard.cli_fleet import Fleet
+from kffa_offboard.cli_report import FAILED, INTERRUPTED, reason, report
+from kffa_offboard.cli_status import StatusBoard, StatusConsole
+from kffa_offboard.cli_vehicle import RunOptions, Shared, VehicleRun, open_vehicle
 from kffa_offboard.config import DaemonConfig
-from kffa_offboard.config_log import flight_header, make_companion, parameter_keeper
 from kffa_offboard.errors import UserError
-from kffa_offboard.flightlog.writer import TlogWriter
-from kffa_offboard.mavlink.component import Route
-from kffa_offboard.mavlink.link import open_link
-from kffa_offboard.mavlink.parameter_file import ParameterFile
-from kffa_offboard.mavlink.parameter_keeper import ParameterKeeper
-from kffa_offboard.mavlink.session import Session
 from kffa_offboard.mavlink.shell import RunResult, real_time_clock, run_lock_step, run_real_time
-from kffa_offboard.offboard.service import Finished, Service
+from kffa_offboard.process.notify import ServiceManager
+from kffa_offboard.process.realtime import Collector, RealtimeSettings, become_real_time
 
-INTERRUPTED = 130
-FAILED = 1
-
-
-@dataclass(frozen=True)
-class RunOptions:
-    """What the command line says about one run, beside the configuration."""
-
-    lockstep: bool = False
-    log: Path | None = None
-    json: bool = False
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def run(config: DaemonConfig, options: RunOptions) -> int:
+def run(configs: Mapping[str, DaemonConfig], options: RunOptions) -> int:
+    """Fly one vehicle, or several that have names, and return the exit status. Raises as `run_one`."""
+    if len(configs) > 1:
+        return run_several(configs, options)
+    (config,) = configs.values()
+    return run_one(config, options)
+
+
+def run_several(configs: Mapping[str, DaemonConfig], options: RunOptions) -> int:
+    """Fly several vehicles in one loop; what happens to one does not touch the others.
+
+    Returns 130 if they were stopped, else 1 if anything went wrong with one of them, else 0.
+    """
+    realtime = replace(next(iter(configs.values())).realtime)
+    realtime = replace(realtime, enabled=realtime.enabled or options.realtime)
+    try:
+        with ExitStack() as stack:
+            shared = stack.enter_context(shared_parts(realtime))
+            stop = stack.enter_context(stop_on_signals())
+            fleet = stack.enter_context(Fleet(shared, options, stop))
+            for name, config in configs.items():
+                fleet.open(name, config)
+            prepare(realtime, shared)
+            try:
+                fleet.fly()
+            finally:
+                shared.manager.stopping()
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    return INTERRUPTED if stop.is_set() else fleet.status
+
+
+def run_one(config: DaemonConfig, options: RunOptions) -> int:
     """Fly `config` and return the exit status: 0 done, 1 failed, 130 stopped.
 
-    Raises UserError for a busy port, a missing device, no vehicle, a log that cannot be written.
+    Raises UserError for a busy port, a missing device, no vehicle, a log that cannot be written, or real-time
+    scheduling that is required and not permitted.
     """
-    console = Console(stderr=True)
-    clock = real_time_clock()
-    ids = config.link
-    link = open_link(ids.url, clock, allow_remote=ids.allow_remote, signing=ids.signing)
-    log = _log_path(config, options)
-    parameters, changed = None, _changed_parameters(config, log)
+    realtime = replace(config.realtime, enabled=config.realtime.enabled or options.realtime)
     try:
-        route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
-        if config.autopilot.check_parameters:
-            parameters = parameter_keeper(config, route, changed)
-        writer = _log_writer(config, options, log, route, changed) if log else None
-        with writer or nullcontext(), StatusDisplay(console) as status, _stop_on_signals() as stop:
-            console.print(f"waiting for a vehicle on {link.name}", soft_wrap=True, highlight=False)
-            _say_changes(console, config)
-            session = Session(
-                Service(config.service),
-                link,
-                route,
-                recorder=writer,
-                observer=status,
-                parameters=parameters,
-                guided_mode=config.autopilot.ardupilot_mode,
-                companion=make_companion(config, route),
-                compare_clocks=not options.lockstep,
-            )
-            drive = run_lock_step if options.lockstep else run_real_time
-            result = drive(session, clock, stop, connect_timeout_s=config.link.connect_timeout_s)
-            session.close(_reason(result))
+        with ExitStack() as stack:
+            shared = stack.enter_context(shared_parts(realtime))
+            stop = stack.enter_context(stop_on_signals())
+            vehicle = stack.enter_context(open_vehicle(config, options, shared))
+            prepare(realtime, shared)
+            try:
+                result = _drive(vehicle, options, shared, stop)
+            finally:
+                shared.manager.stopping()
+            vehicle.session.close(reason(result))
     except KeyboardInterrupt:  # a second Ctrl-C: at once, but the log is closed
-        _say_what_is_left(parameters, changed)
         return INTERRUPTED
-    except UserError:
-        _say_what_is_left(parameters, changed)
-        raise
-    finally:
-        link.close()
-    left = _say_what_is_left(parameters, changed)
-    status_code = _report(console, result, log, options)
-    return status_code or (FAILED if left else 0)
+    status = report(shared.console, result, vehicle, options)
+    return status or (FAILED if vehicle.session.changed_parameters else 0)
 
 
-def _changed_parameters(config: DaemonConfig, log: Path | None) -> ParameterFile:
-    """Old parameters of the vehicle: beside the logs, or here if there are none."""
-    directory = config.log.directory or (log.parent if log is not None else Path())
-    return ParameterFile(directory / f"changed-parameters-{config.link.target_system}.json")
-
-
-def _say_what_is_left(parameters: ParameterKeeper | None, file: ParameterFile) -> bool:
-    """Name the parameters that could not be put back, one line; True if there are any."""
-    changes = () if parameters is None else parameters.changes
-    if changes:
-        values = ", ".join(f"{change.name} {change.old:g} (is {change.new:g})" for change in changes)
-        print(
-            f"error: parameters not put back: {values}; the next run does it from {file.path}",
-            file=sys.stderr,
-        )
-    return bool(changes)
-
-
-def _log_writer(
-    config: DaemonConfig, options: RunOptions, path: Path, route: Route, changed: ParameterFile
-) -> TlogWriter:
-    return TlogWriter(
-        path,
-        header=flight_header(config, options.lockstep, changed),
-        system_id=route.own_system,
-        component_id=route.own_component,
-        part_size=config.log.part_size,
+def _drive(vehicle: VehicleRun, options: RunOptions, shared: Shared, stop: threading.Event) -> RunResult:
+    timeout_s = vehicle.config.link.connect_timeout_s
+    if options.lockstep:
+        return run_lock_step(vehicle.session, shared.clock, stop, connect_timeout_s=timeout_s)
+    return run_real_time(
+        vehicle.session, shared.clock, stop, connect_timeout_s=timeout_s, watch=vehicle.watch
     )
 
 
-def _say_changes(console: Console, config: DaemonConfig) -> None:
-    """Which parameters are not the configuration's own."""
-    changed = ", ".join(f"{name} = {value:g}" for name, value in config.tuning.changes.items())
-    if changed and config.tuning.store is not None:
-        console.print(f"parameters of {config.tuning.store.path}: {changed}", soft_wrap=True, highlight=False)
+@contextmanager
+def shared_parts(realtime: RealtimeSettings) -> Iterator[Shared]:
+    """What all vehicles of a process have in common; lines are shown until the end of the block."""
+    console, manager = StatusConsole(), ServiceManager()
+    collector = Collector(realtime.collect_s if realtime.enabled else None)
+    try:
+        with StatusBoard(console, manager) as board:
+            yield Shared(real_time_clock(), console, board, manager, collector)
+    finally:
+        collector.restore()
+        manager.close()
 
 
-def _log_path(config: DaemonConfig, options: RunOptions) -> Path | None:
-    if options.log is not None or config.log.directory is None:
-        return options.log
-    return config.log.directory / time.strftime("%Y-%m-%d_%H-%M-%S.tlog")
+def prepare(realtime: RealtimeSettings, shared: Shared) -> None:
+    """The last thing before flying: scheduling, memory, collector; then the service manager is told.
+
+    Raises UserError, one line for each thing that is required and not permitted.
+    """
+    if not faulthandler.is_enabled() and sys.__stderr__ is not None:
+        faulthandler.enable()  # a watchdog's SIGABRT then shows where we hung
+    shared.collector.freeze()
+    problems = become_real_time(realtime) if realtime.enabled else []
+    if problems and realtime.required:
+        raise UserError("\n".join(f"{each}; or set realtime.required = false" for each in problems))
+    for problem in problems:
+        shared.console.tell(f"warning: {problem}")
+    shared.manager.ready()
 
 
 @contextmanager
-def _stop_on_signals() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and SIGTERM set; a second one of them ends the process as usual."""
+def stop_on_signals() -> Iterator[threading.Event]:
+    """An event that Ctrl-C, SIGTERM and SIGHUP set; a second one of a kind ends the process as usual.
+
+    A signal that is ignored stays so: nohup does that with SIGHUP.
+    """
     stop = threading.Event()
 
     def request_stop(number: int, frame: FrameType | None) -> None:
         stop.set()
         signal.signal(number, before[number])
 
-    before: dict[int, Any] = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before: dict[int, Any] = {number: signal.getsignal(number) for number in STOP_SIGNALS}
+    before = {number: handler for number, handler in before.items() if handler is not signal.SIG_IGN}
     for number in before:
         signal.signal(number, request_stop)
     try:
@@ -148,38 +140,3 @@ def _stop_on_signals() -> Iterator[threading.Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-
-
-def _reason(result: RunResult) -> str:
-    finished = result.finished
-    return finished.reason if isinstance(finished, Finished) else "stopped before control was given back"
-
-
-def _report(console: Console, result: RunResult, log: Path | None, options: RunOptions) -> int:
-    """Say how the run ended and return the exit status."""
-    finished = result.finished
-    assert finished is None or isinstance(finished, Finished)
-    reason = _reason(result)
-    successful = finished is not None and finished.successful and result.refusal is None
-    counters = result.counters
-    console.print(
-        f"{counters.telemetry_received} telemetry messages received, {counters.commands_sent} commands sent"
-        + (f"; log: {log}" if log is not None else ""),
-        soft_wrap=True,
-        highlight=False,
-    )
-    if options.json:
-        summary = {
-            "reason": result.refusal or reason,
-            "successful": successful and not result.stopped,
-            "stopped": result.stopped,
-            "telemetry_received": counters.telemetry_received,
-            "commands_sent": counters.commands_sent,
-            "frames_dropped": counters.frames_dropped,
-        }
-        print(json.dumps(summary), flush=True)
-    if not successful:
-        print(f"error: {result.refusal or reason}", file=sys.stderr)
-    if result.stopped:
-        return INTERRUPTED
-    return 0 if successful else FAILED

@@ -1,8 +1,15 @@
-"""What a running daemon shows: a line for each announcement and, on a terminal, a live status line."""
+"""What a running daemon shows: a line for each announcement and, on a terminal, a live status line.
+
+A thread of its own writes, so that neither drawing nor a terminal that does not read (Ctrl-S, a full pipe)
+delays control; what is more than it can take is dropped. A terminal that is gone is no reason to stop flying.
+"""
 
 from __future__ import annotations
 
-import time
+import sys
+import threading
+from collections import deque
+from contextlib import suppress
 from math import isnan, nan
 from types import TracebackType
 
@@ -18,13 +25,21 @@ from kffa_offboard.offboard.events import (
     HeartbeatReceived,
     Output,
     PositionReceived,
+    ProcessReport,
     Severity,
     Signals,
     StatusReceived,
+    StepTiming,
 )
+from kffa_offboard.process.notify import ServiceManager
 
 REFRESH_S = 0.25
 RATE_WINDOW_S = 1.0
+LINES_MAX = 1000
+"""Lines that may wait for the terminal."""
+
+END_LIMIT_S = 1.0
+"""How long the last lines may take at the end."""
 
 _STYLES = {
     Severity.CRITICAL: "bold red",
@@ -32,6 +47,28 @@ _STYLES = {
     Severity.NOTICE: "green",
     Severity.INFO: "",
 }
+
+
+class StatusConsole(Console):
+    """The terminal; one that is gone is an error that can be caught, and does not end the process."""
+
+    def __init__(self) -> None:
+        super().__init__(stderr=True)
+
+    def on_broken_pipe(self) -> None:
+        """See `rich.console.Console`."""
+        raise BrokenPipeError
+
+    def tell(self, text: str) -> None:
+        """A plain line, if anybody can see it."""
+        with suppress(OSError):
+            self.print(text, soft_wrap=True, highlight=False, markup=False)
+
+
+def complain(text: str) -> None:
+    """A line of error, as all commands write it, if anybody can see it."""
+    with suppress(OSError):
+        print(f"error: {text}", file=sys.stderr, flush=True)
 
 
 class RateCounter:
@@ -53,18 +90,84 @@ class RateCounter:
             self.hz, self._count, self._since_us = self._count / elapsed_s, 0, time_us
 
 
-class StatusDisplay:
-    """Watches a session (give it as `observer`) and tells a person. A context manager.
+class StatusBoard:
+    """Where all vehicles of a process are shown, to people and to the service manager. A context manager."""
+
+    def __init__(self, console: Console, manager: ServiceManager) -> None:
+        self._console = console
+        self._manager = manager
+        self._live = (
+            Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
+        )
+        self._vehicles: list[VehicleStatus] = []
+        self._lines: deque[Text] = deque(maxlen=LINES_MAX)
+        self._wake = threading.Event()
+        self._ended = False
+        self._thread = threading.Thread(target=self._run, name="status", daemon=True)
+
+    def vehicle(self, name: str = "") -> VehicleStatus:
+        """A vehicle to be shown; `name` tells it from others."""
+        status = VehicleStatus(name, self)
+        self._vehicles.append(status)
+        return status
+
+    def say(self, line: Text) -> None:
+        """Show a line some time soon. Never waits."""
+        self._lines.append(line)
+        self._wake.set()
+
+    def __enter__(self) -> StatusBoard:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._wake.set()
+        self._thread.join(END_LIMIT_S)
+
+    def _run(self) -> None:
+        """The thread; it ends early when there is nobody to write to."""
+        try:
+            if self._live is not None:
+                self._live.start()
+            while not self._ended:
+                self._wake.wait(REFRESH_S)
+                self._wake.clear()
+                self._show()
+            self._show()
+            if self._live is not None:
+                self._live.stop()
+        except OSError:  # nobody looks any more; we fly on
+            self._lines.clear()
+            while not self._ended:
+                self._wake.wait()
+                self._wake.clear()
+                self._tell_manager()
+
+    def _show(self) -> None:
+        while self._lines:
+            self._console.print(self._lines.popleft(), soft_wrap=True, highlight=False)
+        self._tell_manager()
+        if self._live is not None:
+            lines = [status.line() for status in self._vehicles]
+            self._live.update(Text("\n", no_wrap=True).join(lines), refresh=True)
+
+    def _tell_manager(self) -> None:
+        if self._manager.present:
+            self._manager.status("; ".join(status.summary() for status in self._vehicles))
+
+
+class VehicleStatus:
+    """Watches a session (give it as `observer`).
 
     Times are those that the service is told: wall time, or the vehicle's in lock-step.
     """
 
-    def __init__(self, console: Console) -> None:
-        self._console = console
-        self._live = (
-            Live(console=console, auto_refresh=False, transient=True) if console.is_terminal else None
-        )
-        self._shown_s = 0.0
+    def __init__(self, name: str, board: StatusBoard) -> None:
+        self._name = f"{name}: " if name else ""
+        self._board = board
         self._begun_us: int | None = None
         self._vehicle = "no vehicle yet"
         self._known: HeartbeatReceived | None = None
@@ -72,30 +175,14 @@ class StatusDisplay:
         self._altitude_m = nan
         self._thrust = nan
         self._latency_s = nan
+        self._late = 0
         self._telemetry = RateCounter()
         self._commands = RateCounter()
 
-    def __enter__(self) -> StatusDisplay:
-        if self._live is not None:
-            self._live.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
-    ) -> None:
-        if self._live is not None:
-            self._live.stop()
-
-    def __call__(self, time_us: int, item: Event | Output) -> None:
-        """Take note of an event or output of the service."""
+    def __call__(self, time_us: int, item: Event | Output | ProcessReport) -> None:
+        """Take note of an event or output of the service, or a report of the process."""
         if self._begun_us is None:
             self._begun_us = time_us
-        self._note(time_us, item)
-        if self._live is not None and time.monotonic() - self._shown_s >= REFRESH_S:
-            self._shown_s = time.monotonic()
-            self._live.update(self._line(time_us), refresh=True)
-
-    def _note(self, time_us: int, item: Event | Output) -> None:
         match item:
             case AttitudeReceived():
                 self._telemetry.count(time_us)
@@ -109,6 +196,8 @@ class StatusDisplay:
                 self._thrust = item.thrust
             case HeartbeatReceived():
                 self._note_heartbeat(time_us, item)
+            case StepTiming():
+                self._late = item.late_steps + item.late_deadlines
             case StatusReceived():
                 self._say(time_us, f"vehicle: {item.text}", "dim")
             case Announce():
@@ -125,15 +214,21 @@ class StatusDisplay:
     def _say(self, time_us: int, text: str, style: str) -> None:
         assert self._begun_us is not None
         stamp = f"{(time_us - self._begun_us) / 1e6:8.2f} s  "
-        self._console.print(Text(stamp, "dim") + Text(text, style), soft_wrap=True, highlight=False)
+        self._board.say(Text(stamp, "dim") + Text(self._name + text, style))
 
-    def _line(self, time_us: int) -> Text:
+    def summary(self) -> str:
+        """State, vehicle and punctuality."""
+        return f"{self._name}{self._state}, {self._vehicle}, {self._late} late steps"
+
+    def line(self) -> Text:
+        """How it flies, in one line."""
         altitude = "   - " if isnan(self._altitude_m) else f"{self._altitude_m:5.2f}"
         thrust = "  - " if isnan(self._thrust) else f"{self._thrust:4.2f}"
         latency = "" if isnan(self._latency_s) else f"  latency {1e3 * self._latency_s:.0f} ms"
+        late = f"  late {self._late}" if self._late else ""
         return Text(
-            f"{self._state}  {self._vehicle}  {altitude} m  thrust {thrust}  "
-            f"in {self._telemetry.hz:.0f} Hz  out {self._commands.hz:.0f} Hz{latency}",
+            f"{self._name}{self._state}  {self._vehicle}  {altitude} m  thrust {thrust}  "
+            f"in {self._telemetry.hz:.0f} Hz  out {self._commands.hz:.0f} Hz{latency}{late}",
             "bold",
             no_wrap=True,
         )

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 
 from kffa_offboard.config_control import ControlTable, Table
 from kffa_offboard.config_errors import explain
+from kffa_offboard.config_process import ProcessSettings
 from kffa_offboard.config_tables import ConfigFile
 from kffa_offboard.config_tuning import ConfigTuning
 from kffa_offboard.config_tuning_file import TuningFile, TuningStore
@@ -34,6 +35,7 @@ from kffa_offboard.offboard.settings import (
     TelemetrySettings,
 )
 from kffa_offboard.offboard.tuning import TuningProblem
+from kffa_offboard.process.realtime import RealtimeSettings
 
 Record = TypeVar("Record", TelemetrySettings, LimitSettings, SequenceSettings, FlightSettings)
 
@@ -57,6 +59,7 @@ class Overrides:
     shadow: bool = False
     fix_parameters: bool = False
     trust_parameters: bool = False
+    interrupted: bool = False
 
 
 @dataclass(frozen=True)
@@ -106,6 +109,7 @@ class DaemonConfig:
     tuning : what may be changed in flight; its settings are `service`
     signals_hz : rate of the inner signals on the wire; 0 for none
     allowed : who may command the daemon; None for everybody
+    process, realtime : what the daemon does as a process
     """
 
     path: Path
@@ -118,6 +122,8 @@ class DaemonConfig:
     tuning: ConfigTuning
     signals_hz: float
     allowed: tuple[Sender, ...] | None
+    process: ProcessSettings
+    realtime: RealtimeSettings
 
 
 def bundled(name: str) -> Path:
@@ -191,6 +197,8 @@ def build(
         tuning=tuning,
         signals_hz=tables.signals.rate_hz,
         allowed=_allowed(tables),
+        process=tables.process.settings(),
+        realtime=tables.realtime.settings(),
     )
 
 
@@ -235,6 +243,7 @@ def _service(tables: ConfigFile, overrides: Overrides) -> ServiceSettings:
         engage=overrides.engage,
         arm=overrides.arm,
         shadow=overrides.shadow,
+        interrupted=overrides.interrupted,
         failsafe_action=tables.failsafe.action,
         telemetry=_record(TelemetrySettings, tables.telemetry),
         limits=limits,

@@ -20,7 +20,7 @@ LIBRARIES = ("numpy", "filterpy", "pymavlink")
 """Whose versions go into the header: they take part in the arithmetic, or in the frames."""
 
 
-SWITCHES = ("arm", "engage", "shadow", "fix_parameters", "trust_parameters")
+SWITCHES = ("arm", "engage", "shadow", "fix_parameters", "trust_parameters", "interrupted")
 """Overrides that are not in the document."""
 
 

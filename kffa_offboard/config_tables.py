@@ -16,6 +16,7 @@ from kffa_offboard.config_control import ControlTable, Table
 from kffa_offboard.config_link import CompanionTable, LinkTable, SigningTable
 from kffa_offboard.config_payload import PayloadTable
 from kffa_offboard.config_position import PositionTable
+from kffa_offboard.config_process import ProcessTable, RealtimeTable
 from kffa_offboard.config_units import number
 from kffa_offboard.offboard import segments
 from kffa_offboard.offboard.settings import (
@@ -370,4 +371,6 @@ class ConfigFile(Table):
     scenario: ScenarioTable = ScenarioTable()
     parameters: ParametersTable = ParametersTable()
     signals: SignalsTable = SignalsTable()
+    process: ProcessTable = ProcessTable()
+    realtime: RealtimeTable = RealtimeTable()
     log: LogTable = LogTable()

@@ -1,9 +1,9 @@
 """What a log must hold beside frames and signals, so that the flight can be repeated from it.
 
-Three kinds of note: the header (program, versions, configuration), requests from the daemon's own
-command line or process and what its link noticed (they come in no MAVLink message), and the end. Each
-is a JSON object, cut into TUNNEL messages with a payload type of our own; ground stations pass over them.
-They are only ever in the file: none is sent.
+Four kinds of note: the header (program, versions, configuration), requests from the daemon's own
+command line or process and what its link noticed (they come in no MAVLink message), reports of the process,
+and the end. Each is a JSON object, cut into TUNNEL messages with a payload type of our own; ground stations
+pass over them. They are only ever in the file: none is sent.
 """
 
 from __future__ import annotations
@@ -11,13 +11,20 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.offboard.events import EngageRequested, IntrusionNoticed, ReleaseRequested
+from kffa_offboard.offboard.events import (
+    EngageRequested,
+    IntrusionNoticed,
+    ProcessReport,
+    ReleaseRequested,
+    StepTiming,
+    Trouble,
+)
 
 PAYLOAD_TYPE = 52038
 """TUNNEL.payload_type of a note; those from 32768 on are free for private use."""
@@ -29,7 +36,7 @@ _CHUNK = struct.Struct("<HH")  # index, count
 _PAYLOAD_SIZE = 128
 _TEXT_SIZE = _PAYLOAD_SIZE - _CHUNK.size
 
-NoteKind: TypeAlias = Literal["header", "request", "end"]
+NoteKind: TypeAlias = Literal["header", "request", "report", "end"]
 Request: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed
 
 
@@ -69,9 +76,9 @@ class End:
     frames_dropped: int = 0
 
 
-Note: TypeAlias = Header | Request | End
+Note: TypeAlias = Header | Request | ProcessReport | End
 
-Checked = TypeVar("Checked", Header, End, IntrusionNoticed)
+Checked = TypeVar("Checked", Header, End, IntrusionNoticed, StepTiming)
 
 
 def to_messages(note: Note) -> list[Any]:
@@ -129,6 +136,10 @@ def _document(note: Note) -> dict[str, Any]:
             return {"note": "request", "what": "release", "reason": reason}
         case IntrusionNoticed(text, consequence):
             return {"note": "request", "what": "intrusion", "text": text, "consequence": consequence}
+        case StepTiming():
+            return {"note": "report", "what": "timing", **asdict(note)}
+        case Trouble(text):
+            return {"note": "report", "what": "trouble", "text": text}
 
 
 def _parse(text: bytes) -> dict[str, Any]:
@@ -153,6 +164,10 @@ def _note(document: dict[str, Any]) -> Note:
             return ReleaseRequested(reason)
         case {"note": "request", "what": "intrusion", **fields}:
             return _checked(IntrusionNoticed, fields)
+        case {"note": "report", "what": "timing", **fields}:
+            return _checked(StepTiming, fields)
+        case {"note": "report", "what": "trouble", "text": str(text)}:
+            return Trouble(text)
     what = document.get("note", "nothing known")
     raise ValueError(f"note {what!r} of format {document.get('format')}; this version reads format {FORMAT}")
 

@@ -15,10 +15,10 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
-from kffa_offboard.flightlog.notes import End, Header, Request, to_messages
+from kffa_offboard.flightlog.notes import End, Header, Note, Request, to_messages
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.flightlog.tlog import TIMESTAMP
-from kffa_offboard.offboard.events import Signals
+from kffa_offboard.offboard.events import ProcessReport, Signals
 
 LOG = logging.getLogger(__name__)
 
@@ -82,6 +82,7 @@ class TlogWriter:
         self._records: deque[bytes] = deque()
         self._stop = threading.Event()
         self._dropped = 0
+        self._said: set[str] = set()
         self._closed = False
         self._thread = threading.Thread(target=self._run, name="flight log", daemon=True)
         self._thread.start()
@@ -105,6 +106,10 @@ class TlogWriter:
         """Record what the daemon's own process asked for. Never waits."""
         self._put(self._notes.records(time_us, request))
 
+    def write_report(self, time_us: int, report: ProcessReport) -> None:
+        """Record what the daemon's own process reports. Never waits."""
+        self._put(self._notes.records(time_us, report))
+
     def write_end(self, time_us: int, reason: str, frames_dropped: int) -> None:
         """Record how the flight ended. Never waits."""
         self._put(self._notes.records(time_us, End(reason, frames_dropped)))
@@ -116,6 +121,16 @@ class TlogWriter:
             self._records.append(records)
         else:
             self._dropped += 1
+
+    def take_trouble(self) -> str | None:
+        """Why records are being lost or a further file could not be begun; each reason once, else None."""
+        trouble = self._sink.trouble
+        if trouble is None and self._dropped:
+            trouble = "the disk is too slow"
+        if trouble is None or trouble in self._said:
+            return None
+        self._said.add(trouble)
+        return f"flight log: {trouble}"
 
     def close(self) -> None:
         """Write what is waiting and close the file. May be called twice.
@@ -176,7 +191,7 @@ class _NotePacker:
     def __init__(self, system_id: int, component_id: int) -> None:
         self._packer = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
 
-    def records(self, time_us: int, note: Header | Request | End) -> bytes:
+    def records(self, time_us: int, note: Note) -> bytes:
         stamp = TIMESTAMP.pack(time_us)
         return b"".join(stamp + bytes(message.pack(self._packer)) for message in to_messages(note))
 
@@ -186,18 +201,21 @@ class _Sink:
 
     Attributes
     ----------
-    problem : why records were lost, None if none were
+    problem : why records were lost first, None if none were
     lost : how many
+    trouble : what is wrong now; None while all is well
     """
 
     def __init__(self, path: Path, header: Header | None, notes: _NotePacker, part_size: int | None) -> None:
         self.problem: str | None = None
+        self.trouble: str | None = None
         self.lost = 0
         self._path = path
         self._header = header
         self._notes = notes
         self._part_size = part_size
         self._part = 1
+        self._no_parts: str | None = None
         self._size = 0
         self._file: Any = _create(path)
 
@@ -208,6 +226,7 @@ class _Sink:
         try:
             for records in self._parts(batch):
                 self._append(records)
+            self.trouble = self._no_parts
         except OSError as error:
             self.lost += len(batch)
             self._note(error)
@@ -235,6 +254,7 @@ class _Sink:
             following = _create(part_path(self._path, self._part + 1))
         except UserError as problem:
             LOG.error("%s; the log goes on in the file it is in", problem)
+            self._no_parts = "no further file; goes on in this one"
             self._part_size = None
             return
         self._file.close()
@@ -252,8 +272,9 @@ class _Sink:
         self._size += len(data)
 
     def _note(self, error: OSError) -> None:
+        self.trouble = error.strerror or str(error)
         if self.problem is None:
-            self.problem = error.strerror or str(error)
+            self.problem = self.trouble
             LOG.error("flight log %s: %s", self._path, self.problem)
 
 

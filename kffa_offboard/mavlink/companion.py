@@ -15,7 +15,8 @@ from kffa_offboard.mavlink.parameter_server import ParameterServer, Reply
 from kffa_offboard.mavlink.senders import Sender, is_allowed
 from kffa_offboard.mavlink.setpoints import SetpointRefused, read_setpoint
 from kffa_offboard.mavlink.signal_streams import SignalStreams, ToArray
-from kffa_offboard.offboard.events import Announce, Event, Output, Severity, Signals
+from kffa_offboard.mavlink.timing_reports import TimingReports
+from kffa_offboard.offboard.events import Announce, Event, Output, ProcessReport, Severity, Signals, Trouble
 from kffa_offboard.offboard.tuning import Tuning
 
 MOST_REASONS = 20
@@ -53,6 +54,7 @@ class Companion:
         self._streams = SignalStreams(signals_hz, to_array)
         self._commands = CommandServer(route, self._parameters, self._streams)
         self._clock = ClockEstimate()
+        self._timing = TimingReports()
         self._request_us: int | None = None
         self._result: int | None = None
         self._replies: list[Reply] = []
@@ -94,6 +96,13 @@ class Companion:
         refused = self._commands.note(output)
         if refused is not None:
             self._replies.append(refused)
+
+    def report(self, time_us: int, report: ProcessReport) -> None:
+        """Publish what the daemon's own process reports."""
+        if isinstance(report, Trouble):
+            self._replies.append(Announce(Severity.WARNING, report.text))
+        else:
+            self._replies += self._timing.take(time_us, report)
 
     def take(self) -> list[Reply]:
         """Replies to be sent now. Call it when the service was told everything that `receive` returned."""

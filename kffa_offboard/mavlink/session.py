@@ -30,13 +30,14 @@ from kffa_offboard.offboard.events import (
     HeartbeatReceived,
     IntrusionNoticed,
     Output,
+    ProcessReport,
     ReleaseRequested,
     Signals,
 )
 
 LOG = logging.getLogger(__name__)
 
-Observer: TypeAlias = Callable[[int, Event | Output], None]
+Observer: TypeAlias = Callable[[int, Event | Output | ProcessReport], None]
 """Is told every event before and every output after the service, with its time [us]; for status lines."""
 
 
@@ -78,6 +79,9 @@ class Recorder(Protocol):
 
     def write_request(self, time_us: int, request: ProcessRequest) -> None:
         """Record what the daemon's own process asked for or noticed."""
+
+    def write_report(self, time_us: int, report: ProcessReport) -> None:
+        """Record what the daemon's own process reports."""
 
     def write_end(self, time_us: int, reason: str, frames_dropped: int) -> None:
         """Record that the run is over, and why."""
@@ -277,6 +281,15 @@ class Session:
             self._recorder.write_request(time_us, request)
         self.tell(time_us, request)
 
+    def report(self, time_us: int, report: ProcessReport) -> None:
+        """Record and publish what the daemon's own process reports; the service is not told."""
+        self.advance(time_us)
+        if self._recorder is not None:
+            self._recorder.write_report(time_us, report)
+        self._observe(time_us, report)
+        self._companion.report(time_us, report)
+        self._reply(time_us)
+
     def put_back(self, time_us: int) -> bool:
         """Begin to put the vehicle's parameters back, whatever the service does; True when that is over."""
         if self._parameters is None:
@@ -356,6 +369,6 @@ class Session:
         if self._recorder is not None:
             self._recorder.write(time_us, frame)
 
-    def _observe(self, time_us: int, item: Event | Output) -> None:
+    def _observe(self, time_us: int, item: Event | Output | ProcessReport) -> None:
         if self._observer is not None:
             self._observer(time_us, item)

@@ -1,7 +1,8 @@
 """The loop around the service: in real time, or in lock-step with a simulated vehicle.
 
 Real time
-    The clock is monotonic. The loop sleeps until something arrives or the service's next deadline.
+    The clock is monotonic. The loop sleeps until something arrives or the service's next deadline. What it
+    does is told to a `Watch`, which counts what is late and may have something to report.
 
 Lock-step
     The clock is the vehicle's: a TIMESYNC request (tc1 = 0) of the target is a barrier, its ts1 the
@@ -15,14 +16,16 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.commands import heartbeat, is_timesync_request
 from kffa_offboard.mavlink.component import Component, Message
 from kffa_offboard.mavlink.session import Counters, Session
-from kffa_offboard.mavlink.transport import Clock
-from kffa_offboard.offboard.events import OwnHeartbeat, ReleaseRequested
+from kffa_offboard.mavlink.transport import Clock, Datagram
+from kffa_offboard.offboard.events import OwnHeartbeat, ProcessReport, ReleaseRequested
 
 LONGEST_SLEEP_S = 0.1
 """How late a stop request may be noticed."""
@@ -56,44 +59,135 @@ def real_time_clock() -> Clock:
     return lambda: time.monotonic_ns() // 1000 + offset_us
 
 
+class Watch(Protocol):
+    """Is told what the loop in real time does. Times are microseconds of the loop's clock."""
+
+    def step(self, arrived_us: int, done_us: int) -> None:
+        """A sample of the attitude was answered."""
+
+    def deadline(self, due_us: int, done_us: int) -> None:
+        """The loop came to what was due."""
+
+    def turned(self, now_us: int) -> Sequence[ProcessReport]:
+        """Everything that had arrived or was due is done; returns what there is to report."""
+
+    def ended(self) -> Sequence[ProcessReport]:
+        """The loop is over; returns what is left to report."""
+
+
+class Unwatched:
+    """A `Watch` that does nothing."""
+
+    def step(self, arrived_us: int, done_us: int) -> None:
+        """See `Watch`."""
+
+    def deadline(self, due_us: int, done_us: int) -> None:
+        """See `Watch`."""
+
+    def turned(self, now_us: int) -> Sequence[ProcessReport]:
+        """See `Watch`."""
+        return ()
+
+    def ended(self) -> Sequence[ProcessReport]:
+        """See `Watch`."""
+        return ()
+
+
+class RealTimeLoop:
+    """One session's turns in real time; nothing in them waits.
+
+    While `goes_on`: wait at most `wait_s` for the link, then `turn` with what came. `clock` must be the
+    link's.
+    """
+
+    def __init__(
+        self, session: Session, clock: Clock, stop: threading.Event, connect_timeout_s: float, watch: Watch
+    ) -> None:
+        self.session = session
+        self._clock = clock
+        self._stop = stop
+        self._connect_timeout_s = connect_timeout_s
+        self._watch = watch
+        self._started_us = self._turned_us = clock()
+        self._due_us: int | None = None
+        self._watched_us: int | None = None
+        self._let_go_by_us: int | None = None
+
+    def goes_on(self) -> bool:
+        """False when the service has finished, or has had its time to let go after `stop` was set.
+
+        Raises UserError if no vehicle has answered in time.
+        """
+        session, now_us = self.session, self._clock()
+        if session.done:
+            return False
+        if self._stop.is_set() and self._let_go_by_us is None:
+            self._let_go_by_us = now_us + round(RELEASE_LIMIT_S * 1e6) if session.connected else now_us
+            session.request(now_us, ReleaseRequested("stop requested"))
+            return self.goes_on()
+        if self._let_go_by_us is not None and now_us >= self._let_go_by_us and session.put_back(now_us):
+            return False
+        if not session.connected and now_us - self._started_us >= self._connect_timeout_s * 1e6:
+            raise no_vehicle(session, self._connect_timeout_s)
+        return True
+
+    def wait_s(self) -> float:
+        """How long nothing is due."""
+        self._due_us = self.session.next_deadline()
+        if self._due_us is None:
+            return LONGEST_SLEEP_S
+        return min(max((self._due_us - self._clock()) / 1e6, 0.0), LONGEST_SLEEP_S)
+
+    def turn(self, datagrams: Sequence[Datagram]) -> None:
+        """Handle what arrived, do what is due, report."""
+        session = self.session
+        self._watch_deadline(self._due_us)
+        for datagram in datagrams:
+            for message in session.read(datagram):
+                take_message(session, datagram.time_us, message)
+                if message.get_type() == "ATTITUDE" and session.route.from_target(message):
+                    self._watch.step(datagram.time_us - datagram.waited_us, self._clock())
+            session.report_notices(datagram.time_us)
+        if not session.done:
+            if datagrams:
+                self._watch_deadline(session.next_deadline())
+            session.advance(self._clock())
+        self._turned_us = self._clock()
+        for report in self._watch.turned(self._turned_us):
+            session.report(self._turned_us, report)
+
+    def result(self) -> RunResult:
+        """How it ended, once `goes_on` is False."""
+        session = self.session
+        for report in self._watch.ended():
+            session.report(self._clock(), report)
+        return RunResult(session.counters, session.service.finished, self._stop.is_set(), session.refusal)
+
+    def _watch_deadline(self, due_us: int | None) -> None:
+        """What was due by the last turn was done then, so nothing can be later than since then."""
+        now_us = self._clock()
+        if due_us is not None and due_us <= now_us and due_us != self._watched_us:
+            self._watched_us = due_us
+            self._watch.deadline(max(due_us, self._turned_us), now_us)
+
+
 def run_real_time(
-    session: Session, clock: Clock, stop: threading.Event, *, connect_timeout_s: float = 10.0
+    session: Session,
+    clock: Clock,
+    stop: threading.Event,
+    *,
+    connect_timeout_s: float = 10.0,
+    watch: Watch | None = None,
 ) -> RunResult:
     """Drive the service until it has finished, or has let go after `stop` was set (3 s at most).
 
     `clock` must be the link's. Raises UserError if no vehicle answers within `connect_timeout_s`, if
     it is not supported, or if the link is lost.
     """
-    started_us = clock()
-    let_go_by_us: int | None = None
-    while not session.done:
-        now_us = clock()
-        if stop.is_set() and let_go_by_us is None:
-            let_go_by_us = now_us + round(RELEASE_LIMIT_S * 1e6) if session.connected else now_us
-            session.request(now_us, ReleaseRequested("stop requested"))
-            continue
-        if let_go_by_us is not None and now_us >= let_go_by_us and session.put_back(now_us):
-            break
-        if not session.connected and now_us - started_us >= connect_timeout_s * 1e6:
-            raise no_vehicle(session, connect_timeout_s)
-        _receive(session, _time_to_sleep(session, now_us))
-        if not session.done:
-            session.advance(clock())
-    return RunResult(session.counters, session.service.finished, stop.is_set(), session.refusal)
-
-
-def _time_to_sleep(session: Session, now_us: int) -> float:
-    deadline_us = session.next_deadline()
-    if deadline_us is None:
-        return LONGEST_SLEEP_S
-    return min(max((deadline_us - now_us) / 1e6, 0.0), LONGEST_SLEEP_S)
-
-
-def _receive(session: Session, timeout_s: float) -> None:
-    for datagram in session.link.receive(timeout_s):
-        for message in session.read(datagram):
-            take_message(session, datagram.time_us, message)
-        session.report_notices(datagram.time_us)
+    loop = RealTimeLoop(session, clock, stop, connect_timeout_s, watch or Unwatched())
+    while loop.goes_on():
+        loop.turn(session.link.receive(loop.wait_s()))
+    return loop.result()
 
 
 def take_message(session: Session, time_us: int, message: Message) -> None:

@@ -113,6 +113,15 @@ class SignedLink:
         return self._link.name
 
     @property
+    def descriptor(self) -> int | None:
+        """See `transport.Link`."""
+        return self._link.descriptor
+
+    def take_news(self) -> str | None:
+        """See `transport.Link`."""
+        return self._link.take_news()
+
+    @property
     def trouble(self) -> str:
         """See `transport.Link`; what was refused, if nothing else is wrong."""
         return self._link.trouble or self.refusals()

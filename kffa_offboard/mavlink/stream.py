@@ -58,6 +58,15 @@ class StreamLink(ABC):
         """See `transport.Link`. A stream has only one sender; losing it is now losing the vehicle."""
         self._locked = True
 
+    @property
+    def descriptor(self) -> int | None:
+        """See `transport.Link`."""
+        return self._file_descriptor() if self._is_open() else None
+
+    def take_news(self) -> str | None:
+        """See `transport.Link`; TCP says it by `trouble`."""
+        return None
+
     def receive(self, timeout_s: float) -> list[Datagram]:
         """See `transport.Link`."""
         if not self._is_open():
@@ -69,7 +78,7 @@ class StreamLink(ABC):
         )
         if writable:
             self._flush()
-        if not readable:
+        if not readable or not self._is_open():
             return []
         try:
             data = self._read()
@@ -90,12 +99,14 @@ class StreamLink(ABC):
             return False
         if self._unsent:
             self._flush()
+            if not self._is_open():
+                return False
         if len(self._unsent) + len(data) > UNSENT_LIMIT:
             self.trouble = "the line is too slow for this traffic, or nobody reads it"
             return False
         self._unsent += data
         self._flush()
-        return True
+        return self._is_open()
 
     def _flush(self) -> None:
         try:

@@ -20,9 +20,10 @@ class LinkLost(UserError):
 class Datagram:
     """Bytes that arrived together.
 
-    `time_us` is the arrival time on the link's clock; `source` tells senders apart (each has its own
-    stream of frames). A `stranger` is not who the link is locked onto: to be looked at, not listened to.
-    `notice` is what the link has to say about its sender, for people.
+    `time_us` is the time of reading on the link's clock; `source` tells senders apart (each has its own
+    stream of frames); `waited_us` is how long it was in the operating system's hands before, if known. A
+    `stranger` is not who the link is locked onto: to be looked at, not listened to. `notice` is what the link
+    has to say about its sender, for people.
     """
 
     time_us: int
@@ -30,6 +31,7 @@ class Datagram:
     source: Hashable
     stranger: bool = False
     notice: str = ""
+    waited_us: int = 0
 
 
 class Link(Protocol):
@@ -46,6 +48,13 @@ class Link(Protocol):
     @property
     def trouble(self) -> str:
         """Why nothing may be arriving ("connection refused"); empty if nothing is known to be wrong."""
+
+    @property
+    def descriptor(self) -> int | None:
+        """What to wait for in select until there is something to receive; None while there is nothing."""
+
+    def take_news(self) -> str | None:
+        """That the device is gone, or back, once; else None."""
 
     def receive(self, timeout_s: float) -> list[Datagram]:
         """Wait at most `timeout_s` for data, then return what is there, in order of arrival.

@@ -6,6 +6,9 @@ import errno
 import logging
 import select
 import socket
+import struct
+import sys
+import time
 from collections.abc import Hashable
 
 from kffa_offboard.errors import UserError
@@ -22,6 +25,11 @@ RECEIVE_BUFFER = 1 << 20
 
 STRANGER_PERIOD_US = 100_000
 """So often at most a datagram of another than the locked sender is handed on, marked as a stranger's."""
+_TIMESTAMP = 35 if sys.platform == "linux" else None
+"""SO_TIMESTAMPNS, socket(7): each datagram comes with the wall time at which the kernel got it."""
+
+_STAMP = struct.Struct("@qq")  # seconds, nanoseconds
+_ANCILLARY_SIZE = socket.CMSG_SPACE(_STAMP.size)
 
 
 def _open_socket(address: NetworkAddress) -> socket.socket:
@@ -30,6 +38,8 @@ def _open_socket(address: NetworkAddress) -> socket.socket:
     try:
         opened.setblocking(False)
         opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
+        if _TIMESTAMP is not None:
+            opened.setsockopt(socket.SOL_SOCKET, _TIMESTAMP, 1)
         if address.listens:
             opened.bind(place)
         else:
@@ -76,9 +86,19 @@ class UdpLink:
         self._listens = address.listens
         self._peer: Hashable | None = None
         self._stranger_us: int | None = None
+        self._received_us: int | None = None
         self.trouble = ""
         port = int(self._socket.getsockname()[1]) if address.listens else address.port
         self.name = NetworkAddress(address.kind, address.host, port).url
+
+    @property
+    def descriptor(self) -> int | None:
+        """See `transport.Link`."""
+        return self._socket.fileno()
+
+    def take_news(self) -> str | None:
+        """See `transport.Link`; a socket neither goes nor returns."""
+        return None
 
     def receive(self, timeout_s: float) -> list[Datagram]:
         """See `transport.Link`. Of others than the locked sender ten datagrams a second are shown."""
@@ -86,17 +106,19 @@ class UdpLink:
         datagrams: list[Datagram] = []
         for _ in range(DATAGRAMS_AT_ONCE):
             try:
-                data, source = self._socket.recvfrom(DATAGRAM_SIZE)
+                data, ancillary, _, source = self._socket.recvmsg(DATAGRAM_SIZE, _ANCILLARY_SIZE)
             except BlockingIOError:
                 break
             except OSError as error:
                 self._note(error)
                 continue
             if self._peer is None or source == self._peer:
-                datagrams.append(Datagram(self._clock(), data, source))
+                now_us = self._clock()
+                datagrams.append(Datagram(now_us, data, source, waited_us=self._waited_us(now_us, ancillary)))
                 self.trouble = ""
             elif self._is_due(now_us := self._clock()):
                 datagrams.append(Datagram(now_us, data, source, stranger=True))
+        self._received_us = self._clock()
         return datagrams
 
     def _is_due(self, now_us: int) -> bool:
@@ -105,6 +127,14 @@ class UdpLink:
             return False
         self._stranger_us = now_us
         return True
+
+    def _waited_us(self, now_us: int, ancillary: list[tuple[int, int, bytes]]) -> int:
+        """How long the kernel had a datagram; at most since we last looked, whatever wall time does."""
+        if self._received_us is None or not ancillary or len(ancillary[0][2]) != _STAMP.size:
+            return 0
+        seconds, nanoseconds = _STAMP.unpack(ancillary[0][2])
+        waited_us = (time.time_ns() - int(seconds) * 1_000_000_000 - int(nanoseconds)) // 1000
+        return max(0, min(waited_us, now_us - self._received_us))
 
     def send(self, data: bytes) -> bool:
         """See `transport.Link`."""

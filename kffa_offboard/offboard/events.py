@@ -223,6 +223,33 @@ Event: TypeAlias = (
     | AttitudeSetpoint
 )
 
+# ---------------------------------------------------- what the daemon's own process reports
+
+
+@dataclass(frozen=True, slots=True)
+class StepTiming:
+    """How punctual the control loop is.
+
+    Control steps since the start, those that were late, other deadlines that were late, and the longest
+    delay since the report before this one, s.
+    """
+
+    steps: int
+    late_steps: int
+    late_deadlines: int
+    longest_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class Trouble:
+    """Something beside the flight that people should know of: a full disk, an unplugged cable."""
+
+    text: str
+
+
+ProcessReport: TypeAlias = StepTiming | Trouble
+"""For the log and for whoever listens; the service is not told."""
+
 # --------------------------------------------------------------------------- messages out
 
 

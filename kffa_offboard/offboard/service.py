@@ -209,6 +209,7 @@ class Service(RequestSession):
 
     def _on_heartbeat(self, time_us: int, event: events.HeartbeatReceived) -> None:
         first = self._known.heartbeat is None
+        self._restarted(event.armed)
         self._known = telemetry.receive_heartbeat(self._known, time_us, event)
         if first:
             self._requests = 0

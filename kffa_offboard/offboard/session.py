@@ -56,6 +56,7 @@ class Session:
         self._armed_here = False
         self._offboard_mode = 0
         self._auto_engage = settings.engage and not settings.shadow
+        self._interrupted = settings.interrupted
         self._capture = False
         self._said: set[str] = set()
         self._own_heartbeat_us = 0
@@ -226,6 +227,13 @@ class Session:
         self._auto_engage = False
         self._let_go(State.READY)
         self._say(Severity.WARNING, f"control given up: {what}")
+
+    def _restarted(self, armed: bool) -> None:
+        """The first heartbeat tells whether the flight of an earlier run still goes on."""
+        if self._interrupted and armed and self._auto_engage:
+            self._auto_engage = False
+            self._say(Severity.WARNING, "restarted in flight: only observing")
+        self._interrupted = False
 
     def _let_go(self, state: State) -> None:
         """Nothing is in the daemon's hands any more."""

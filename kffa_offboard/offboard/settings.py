@@ -277,6 +277,7 @@ class ServiceSettings:
     scenario : what is flown after engaging; empty: hold until released
     engage : engage by itself, once, as soon as ready
     arm : the daemon may arm (and then disarms after landing)
+    interrupted : an earlier run had control in this flight; do not engage by itself if it still goes on
     shadow : observe only; neither setpoints nor modes nor arming are ever sent
     failsafe_action : what happens to the vehicle when the service gives up
     position : the position ring, which then commands roll and pitch; None: attitude and altitude only
@@ -290,6 +291,7 @@ class ServiceSettings:
     engage: bool = False
     arm: bool = False
     shadow: bool = False
+    interrupted: bool = False
     failsafe_action: FailsafeAction = "stop"
     telemetry: TelemetrySettings = field(default_factory=TelemetrySettings)
     limits: LimitSettings = field(default_factory=LimitSettings)

@@ -15,9 +15,9 @@ from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.session import ProcessRequest, Session
 from kffa_offboard.mavlink.shell import pass_barrier, take_message
 from kffa_offboard.mavlink.transport import Datagram
-from kffa_offboard.offboard.events import Signals
+from kffa_offboard.offboard.events import ProcessReport, Signals
 from kffa_offboard.offboard.service import Service
-from kffa_offboard.replay.recording import Frame, Recording, is_request
+from kffa_offboard.replay.recording import Frame, Recording, is_report, is_request
 
 
 @dataclass
@@ -34,6 +34,11 @@ class _NoLink:
     name = "replay"
     keeps_frames_whole = True
     trouble = ""
+
+    descriptor = None
+
+    def take_news(self) -> str | None:
+        return None
 
     def receive(self, timeout_s: float) -> list[Datagram]:
         return []
@@ -71,6 +76,9 @@ class _Collector:
     def write_request(self, time_us: int, request: ProcessRequest) -> None:
         pass
 
+    def write_report(self, time_us: int, report: ProcessReport) -> None:
+        pass
+
     def write_end(self, time_us: int, reason: str, frames_dropped: int) -> None:
         pass
 
@@ -95,6 +103,8 @@ def replay(recording: Recording, config: DaemonConfig) -> Replayed:
     for time_us, item in recording.incoming:
         if is_request(item):
             session.request(time_us, item)
+        elif is_report(item):
+            session.report(time_us, item)
         elif lockstep and is_timesync_request(item) and route.from_target(item):
             pass_barrier(session, time_us, item)
         elif lockstep:

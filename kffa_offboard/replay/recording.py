@@ -13,9 +13,10 @@ from kffa_offboard.flightlog.notes import End, Header, Note, NoteReader, Request
 from kffa_offboard.flightlog.signals import is_signals
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.flightlog.writer import following_parts
+from kffa_offboard.offboard.events import ProcessReport
 
 Incoming: TypeAlias = tuple[int, Any]
-"""Time [us] and a received message, or a request of the daemon's own process."""
+"""Time [us] and a received message, or a request or report of the daemon's own process."""
 
 Frame: TypeAlias = tuple[int, bytes]
 """Time [us] and a frame."""
@@ -148,6 +149,11 @@ class _Reader:
 def _may_be_ours_alone(frame: bytes) -> bool:
     """True for the message types that notes and signals are made of; they have to be looked into."""
     return int.from_bytes(frame[7:10], "little") in _NOTHING_OURS
+
+
+def is_report(item: Any) -> bool:
+    """True for a report of the daemon's own process among the incoming items."""
+    return isinstance(item, ProcessReport)
 
 
 def is_request(item: Any) -> bool:

@@ -103,6 +103,8 @@ class Flight:
     settle_s: float = 1.0
     acts: dict = field(default_factory=dict)  # time [s] -> what is done to the vehicle
     seconds: float = 6.0
+    scenario: tuple = (Hold(1000.0),)
+    output: str | None = None
     heard: list = field(default_factory=list)
     states: list = field(default_factory=list)
     heights: list = field(default_factory=list)
@@ -111,10 +113,10 @@ class Flight:
     def fly(self):
         daemon = load(
             bundled(f"demo-{self.personality}.toml"),
-            Overrides(controller=None, output=None, arm=True, engage=True),
+            Overrides(controller=None, output=self.output, arm=True, engage=True),
         )
         quick = replace(daemon.service.telemetry, settle_time_s=self.settle_s)
-        settings = replace(daemon.service, scenario=(Hold(1000.0),), telemetry=quick)
+        settings = replace(daemon.service, scenario=self.scenario, telemetry=quick)
         self.settings = settings
         self.vehicle = hovering(self.personality, self.vehicle_changes)
         stop = threading.Event()

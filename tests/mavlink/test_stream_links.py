@@ -11,6 +11,7 @@ import pytest
 import serial
 
 from kffa_offboard.errors import UserError
+from kffa_offboard.mavlink import serial_port
 from kffa_offboard.mavlink.component import FrameParser
 from kffa_offboard.mavlink.link import open_link
 from kffa_offboard.mavlink.transport import LinkLost
@@ -193,14 +194,89 @@ def test_serial_bytes_go_both_ways(serial_link, terminal):
     assert serial_link.receive(0.0) == []
 
 
-def test_an_unplugged_serial_device_is_a_clear_error(serial_link, terminal):
-    master, name = terminal
-    os.close(master)
-    with pytest.raises(LinkLost, match=f"{name} stopped answering .*; was it unplugged"):
-        serial_link.receive(5.0)
-    assert not serial_link.send(b"x")
-    with pytest.raises(LinkLost, match="plug it in"):
-        serial_link.receive(5.0)
+@pytest.fixture
+def cable(tmp_path):
+    """A serial device under a name of its own that can be unplugged and plugged in again."""
+    device, ends = tmp_path / "usb-autopilot", []
+
+    class Cable:
+        name = str(device)
+
+        def plug_in(self):
+            master, slave = os.openpty()
+            tty.setraw(slave)
+            ends[:] = [master, slave]
+            device.symlink_to(os.ttyname(slave))
+
+        def unplug(self):
+            device.unlink(missing_ok=True)
+            for descriptor in ends:
+                os.close(descriptor)
+            ends.clear()
+
+        def write(self, data):
+            os.write(ends[0], data)
+
+        def read(self):
+            return os.read(ends[0], 4096)
+
+    ours = Cable()
+    ours.plug_in()
+    yield ours
+    ours.unplug()
+
+
+def test_a_serial_device_that_is_unplugged_is_said_and_taken_again_when_it_returns(cable):
+    now_us = itertools.count(0, 10_000)
+    with contextlib.closing(open_link(f"serial:{cable.name}:57600", lambda: next(now_us))) as link:
+        cable.write(b"before")
+        (before,) = link.receive(5.0)
+        assert link.take_news() is None
+        cable.unplug()
+        assert link.receive(5.0) == []
+        assert link.take_news() == "serial device lost; unplugged?"
+        assert link.take_news() is None
+        assert f"{cable.name} stopped answering" in link.trouble
+        assert not link.send(b"nobody hears this")
+        assert link.receive(0.0) == []
+        cable.plug_in()
+        while link.take_news() != "serial device is back":
+            assert link.receive(0.001) == []
+        cable.write(b"after")
+        (after,) = link.receive(5.0)
+        assert (before.data, after.data) == (b"before", b"after")
+        assert before.source != after.source, "half a frame from before is not continued"
+        assert link.send(b"command")
+        assert cable.read() == b"command"
+
+
+def test_a_serial_device_is_looked_for_a_few_times_a_second_and_no_more(cable, monkeypatch):
+    now_us, looked = [0], []
+    with contextlib.closing(open_link(f"serial:{cable.name}:57600", lambda: now_us[0])) as link:
+        cable.unplug()
+        link.receive(5.0)
+        monkeypatch.setattr(type(link), "_reopen", lambda self: looked.append(now_us[0]) or False)
+        monkeypatch.setattr(serial_port.select, "select", lambda *_: ([], [], []))
+        for now_us[0] in range(0, 1_000_000, 1_000):
+            link.receive(0.001)
+    assert 4 <= len(looked) <= 6
+
+
+def test_a_device_that_is_not_ready_when_it_returns_is_tried_again(cable, clock, monkeypatch):
+    with contextlib.closing(open_link(f"serial:{cable.name}:57600", clock)) as link:
+        cable.unplug()
+        link.receive(5.0)
+        cable.plug_in()
+        with monkeypatch.context() as patched:
+
+            def refuse(**options):
+                raise serial.SerialException(errno.EACCES, "could not open port: Permission denied")
+
+            patched.setattr(serial, "Serial", refuse)
+            while "cannot open" not in link.trouble:
+                link.receive(0.001)
+        while link.take_news() != "serial device is back":
+            link.receive(0.001)
 
 
 def test_a_missing_device_is_named(clock):

@@ -1,0 +1,188 @@
+"""One vehicle's run: link, service, log and whatever watches them, opened and closed together."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from kffa_offboard.cli_status import StatusBoard, StatusConsole, complain
+from kffa_offboard.config import DaemonConfig
+from kffa_offboard.config_log import flight_header, make_companion, parameter_keeper
+from kffa_offboard.flightlog.writer import TlogWriter
+from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.link import open_link
+from kffa_offboard.mavlink.parameter_file import ParameterFile
+from kffa_offboard.mavlink.session import Observer, Session
+from kffa_offboard.mavlink.transport import Clock, Link
+from kffa_offboard.offboard.events import Event, Output, ProcessReport
+from kffa_offboard.offboard.service import Service
+from kffa_offboard.process.flight_mark import FlightMark
+from kffa_offboard.process.notify import ServiceManager
+from kffa_offboard.process.realtime import Collector
+from kffa_offboard.process.timing import StepClock
+from kffa_offboard.process.watch import LoopWatch, TroubleSource
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What the command line says about one run, beside the configuration."""
+
+    lockstep: bool = False
+    log: Path | None = None
+    json: bool = False
+    realtime: bool = False
+    reengage: bool = False
+
+
+@dataclass(frozen=True)
+class Shared:
+    """What all vehicles of a process have in common."""
+
+    clock: Clock
+    console: StatusConsole
+    board: StatusBoard
+    manager: ServiceManager
+    collector: Collector
+
+
+@dataclass(frozen=True)
+class VehicleRun:
+    """A vehicle that is ready to be flown. `name` is empty if it is the only one."""
+
+    name: str
+    config: DaemonConfig
+    log: Path | None
+    session: Session
+    watch: LoopWatch
+
+
+@contextmanager
+def open_vehicle(
+    config: DaemonConfig, options: RunOptions, shared: Shared, name: str = ""
+) -> Iterator[VehicleRun]:
+    """Open link and log, and close them again; parameters that could not be put back are named then.
+
+    Raises UserError for a busy port, a missing device, a log that cannot be written or is not complete.
+    """
+    with ExitStack() as stack:
+        link = stack.enter_context(
+            closing(
+                open_link(
+                    config.link.url,
+                    shared.clock,
+                    allow_remote=config.link.allow_remote,
+                    signing=config.link.signing,
+                )
+            )
+        )
+        log = _log_path(config, options, name)
+        directory = config.log.directory or (log.parent if log is not None else Path())
+        changed = ParameterFile(directory / f"changed-parameters-{config.link.target_system}.json")
+        ids = config.link
+        route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
+        parameters = parameter_keeper(config, route, changed) if config.autopilot.check_parameters else None
+        observers: list[Observer] = [shared.board.vehicle(name)]
+        sources: list[TroubleSource] = [link.take_news]
+        if not options.lockstep:
+            path = directory / f"in-flight-{config.link.target_system}.json"
+            mark = stack.enter_context(closing(FlightMark(path)))
+            config = _after_interruption(config, options, mark, shared.console)
+            observers.append(mark)
+            sources.append(mark.take_trouble)
+        writer = None
+        if log is not None:
+            writer = stack.enter_context(_log_writer(config, options, log, route, changed))
+            sources.append(writer.take_trouble)
+        _say_begin(shared.console, config, link, name)
+        session = Session(
+            Service(config.service),
+            link,
+            route,
+            recorder=writer,
+            observer=_tell_all(observers),
+            parameters=parameters,
+            guided_mode=config.autopilot.ardupilot_mode,
+            companion=make_companion(config, route),
+            compare_clocks=not options.lockstep,
+        )
+        clock = StepClock(config.process.late_step_s)
+        watch = LoopWatch(clock, shared.manager, shared.collector, sources)
+        try:
+            yield VehicleRun(name, config, log, session, watch)
+        finally:
+            _say_what_is_left(session, changed)
+
+
+def _after_interruption(
+    config: DaemonConfig, options: RunOptions, mark: FlightMark, console: StatusConsole
+) -> DaemonConfig:
+    """The configuration of a run that may have been started again in flight."""
+    if not config.service.engage:
+        return config
+    obstacle = mark.obstacle()
+    if obstacle is not None:
+        console.tell(f"warning: {obstacle}")
+    if not mark.found or options.reengage or config.process.reengage:
+        return config
+    console.tell(
+        f"an earlier run had control when the vehicle was last seen armed ({mark.path}); if it still is, "
+        "this one only observes until asked to engage (--reengage engages by itself)"
+    )
+    return replace(
+        config,
+        service=replace(config.service, interrupted=True),
+        overrides=replace(config.overrides, interrupted=True),
+    )
+
+
+def _tell_all(observers: Sequence[Observer]) -> Observer:
+    def tell(time_us: int, item: Event | Output | ProcessReport) -> None:
+        for observer in observers:
+            observer(time_us, item)
+
+    return tell
+
+
+def _say_what_is_left(session: Session, file: ParameterFile) -> None:
+    """Name the parameters that could not be put back, one line."""
+    if session.changed_parameters:
+        values = ", ".join(
+            f"{change.name} {change.old:g} (is {change.new:g})" for change in session.changed_parameters
+        )
+        complain(f"parameters not put back: {values}; the next run does it from {file.path}")
+
+
+def _log_writer(
+    config: DaemonConfig, options: RunOptions, path: Path, route: Route, changed: ParameterFile
+) -> TlogWriter:
+    return TlogWriter(
+        path,
+        header=flight_header(config, options.lockstep, changed),
+        system_id=route.own_system,
+        component_id=route.own_component,
+        part_size=config.log.part_size,
+    )
+
+
+def _say_begin(console: StatusConsole, config: DaemonConfig, link: Link, name: str) -> None:
+    """Where the vehicle is expected, and which parameters are not the configuration's own."""
+    prefix = f"{name}: " if name else ""
+    console.tell(f"{prefix}waiting for a vehicle on {link.name}")
+    changed = ", ".join(f"{key} = {value:g}" for key, value in config.tuning.changes.items())
+    if changed and config.tuning.store is not None:
+        console.tell(f"{prefix}parameters of {config.tuning.store.path}: {changed}")
+
+
+def _log_path(config: DaemonConfig, options: RunOptions, name: str) -> Path | None:
+    """Where to log. Names are wall time: where no clock has kept it, they may be there already."""
+    if options.log is not None or config.log.directory is None:
+        return options.log
+    stem = time.strftime("%Y-%m-%d_%H-%M-%S") + (f"_{name}" if name else "")
+    path, number = config.log.directory / f"{stem}.tlog", 1
+    while path.exists():
+        number += 1
+        path = config.log.directory / f"{stem}_{number}.tlog"
+    return path

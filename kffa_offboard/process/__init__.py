@@ -1,0 +1,1 @@
+"""The daemon as a process: its service manager, its scheduling, and what it remembers of a flight."""
