@@ -7,6 +7,7 @@ import json
 from kffa_offboard.cli_status import StatusConsole, complain
 from kffa_offboard.cli_vehicle import RunOptions, VehicleRun
 from kffa_offboard.mavlink.shell import RunResult
+from kffa_offboard.mavlink.signed_link import SignedLink
 from kffa_offboard.offboard.service import Finished
 
 INTERRUPTED = 130
@@ -30,6 +31,9 @@ def report(console: StatusConsole, result: RunResult, vehicle: VehicleRun, optio
         f"{counters.commands_sent} commands sent"
         + (f"; log: {vehicle.log}" if vehicle.log is not None else "")
     )
+    link = vehicle.session.link
+    if isinstance(link, SignedLink) and link.refused:
+        console.tell(f"{name}{link.refusals()}")
     if options.json:
         summary = {
             **({"vehicle": vehicle.name} if vehicle.name else {}),

@@ -184,7 +184,7 @@ def test_a_daemon_without_the_key_hears_nothing_it_may_take_and_says_why(tmp_pat
     assert done.returncode == 2
     last = done.stderr.strip().splitlines()[-1]
     assert "no vehicle answered" in last
-    assert "is it running" in last
+    assert "from 1/1 refused: wrong signature" in last
 
 
 @pytest.mark.parametrize("signed", [True, False], ids=["with the key", "unsigned"])
