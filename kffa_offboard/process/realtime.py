@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
-_SWITCH_INTERVAL_S = 5e-4
+_SWITCH_INTERVAL_S = 1e-4
 """How long another thread may hold the interpreter when the control loop wants it; Python's own is 5 ms."""
 
 

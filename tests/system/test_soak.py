@@ -9,13 +9,12 @@ from __future__ import annotations
 import random
 import threading
 from collections.abc import Hashable, Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from kffa_offboard.config import Overrides, bundled, load
-from kffa_offboard.config_log import flight_header, make_companion, parameter_keeper
+from kffa_offboard.config import Overrides, build, bundled, read_toml
+from kffa_offboard.config_log import config_of, flight_header, make_companion, parameter_keeper
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.flightlog.writer import TlogWriter, following_parts
 from kffa_offboard.mavlink.component import Route
@@ -23,12 +22,14 @@ from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.mavlink.session import Session
 from kffa_offboard.mavlink.shell import run_real_time
 from kffa_offboard.mavlink.transport import Datagram
-from kffa_offboard.offboard.segments import Hold, Land, Takeoff
 from kffa_offboard.offboard.service import Service
 from kffa_offboard.process.notify import ServiceManager
 from kffa_offboard.process.realtime import Collector
 from kffa_offboard.process.timing import StepClock
 from kffa_offboard.process.watch import LoopWatch
+from kffa_offboard.replay.compare import compare
+from kffa_offboard.replay.engine import replay
+from kffa_offboard.replay.recording import read_recording
 from sim_vehicle import config as sim_config
 from sim_vehicle.vehicle import SimulatedVehicle
 
@@ -96,13 +97,11 @@ class Soak:
         self.sample_us = round(sample_s * 1e6)
         self.directory = directory
         self.log = directory / "flight.tlog"
-        daemon = load(bundled("demo-px4.toml"), Overrides(arm=True, engage=True))
-        scenario = (Takeoff(5.0), Hold(duration_s), Land())
-        self.daemon = replace(
-            daemon,
-            service=replace(daemon.service, scenario=scenario),
-            log=replace(daemon.log, part_size=part_size),
-        )
+        file = bundled("demo-px4.toml")
+        hold = {"type": "hold", "duration_s": duration_s}
+        scenario = {"segment": [{"type": "takeoff", "altitude_m": 5.0}, hold, {"type": "land"}]}
+        self.daemon = build(read_toml(file) | {"scenario": scenario}, file, Overrides(arm=True, engage=True))
+        self.part_size = part_size
         changes = {"vehicle": {"physics_dt_s": 0.005}, "payload": {"schedule": []}}
         vehicle = SimulatedVehicle(sim_config.load(bundled("demo-px4-vehicle.toml"), changes))
         self.link = SimulatedTimeLink(vehicle, seed=1)
@@ -117,7 +116,7 @@ class Soak:
         collector = Collector(60.0)
         watch = LoopWatch(self.clock, ServiceManager({}), collector, [lambda: next(samples)])
         header = flight_header(self.daemon, lockstep=False, changed=changed)
-        with TlogWriter(self.log, header=header, part_size=self.daemon.log.part_size) as writer:
+        with TlogWriter(self.log, header=header, part_size=self.part_size) as writer:
             self.session = Session(
                 Service(self.daemon.service),
                 self.link,
@@ -166,6 +165,9 @@ def test_half_a_minute_in_the_air_leaves_nothing_behind_in_memory(tmp_path: Path
     assert soak.link.stalls[1] >= 4
     assert soak.resident[-1] - soak.resident[5] < 1.0, soak.resident
     assert len([*following_parts(soak.log)]) >= 2
+    recording = read_recording(soak.log)
+    comparison = compare(recording, replay(recording, config_of(recording.header, soak.log)))
+    assert comparison.difference is None, "what the process reports is replayed, too"
 
 
 @pytest.mark.soak
