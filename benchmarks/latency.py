@@ -1,4 +1,4 @@
-"""Where the microseconds of a control step go, and UDP round trips beside a bare pymavlink echo."""
+"""Where the microseconds of a control step go, and UDP round trips beside bare pymavlink and MAVSDK."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from unittest import mock
@@ -136,6 +138,12 @@ def main() -> None:
         log = ("--log", str(Path(directory) / "flight.tlog"))
         rows["UDP, bare pymavlink echo"] = round_trips(echo_port, str(here / "echo.py"), str(echo_port))
         rows["UDP, kffa-offboard run"] = round_trips(port, *run, *log)
+    if find_spec("mavsdk") is None:
+        print('no row for MAVSDK: pip install "kffa-offboard[clients]"', file=sys.stderr)
+    else:
+        mavsdk_port = free_port()
+        name = f"UDP, MAVSDK-Python {version('mavsdk')}, set_attitude_rate"
+        rows[name] = round_trips(mavsdk_port, str(here / "mavsdk_echo.py"), str(mavsdk_port))
     save("latency", rows)
 
 

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from kffa_offboard.cli_choices import Controller, OutputName
+from kffa_offboard.errors import UserError
 
 PersonalityName = Literal["px4", "ardupilot"]
 ExampleName = Literal["1", "2", "3", "4", "position"]
@@ -80,6 +81,7 @@ def demo(
         "    kffa-offboard compare --autopilot ardupilot --firmware ardupilot/build/sitl/bin/arducopter "
         "--full\n\n"
         "    kffa-offboard compare --only native-stock --only kffa-ladrc    (the bundled imitation)\n\n"
+        "    kffa-offboard compare --autopilot ardupilot --join udpin:127.0.0.1:14550    (it runs)\n\n"
         "Exit status: 0 flown, whatever the verdicts, 1 a flight failed, 2 wrong usage, 130 stopped."
     )
 )
@@ -91,6 +93,35 @@ def compare(
             help="Its software-in-the-loop build: the arducopter program, or PX4's build/px4_sitl_default. "
             "Left out, the bundled imitation flies."
         ),
+    ] = None,
+    join: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="Fly on a firmware that is already running and sends MAVLink there: udpin:HOST:PORT or "
+            "udpout:HOST:PORT. Its physics is started here, unless --truth is given.",
+        ),
+    ] = None,
+    physics_port: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=65535,
+            help="With --join: where it looks for its physics; 9002 (ArduPilot) or 4560 (PX4).",
+        ),
+    ] = None,
+    truth: Annotated[
+        Path | None,
+        typer.Option(
+            help="With --join: its physics is running, too, and writes true states to this CSV file."
+        ),
+    ] = None,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="With --truth: that physics waits for the controller.")
+    ] = False,
+    config: Annotated[
+        Path | None,
+        typer.Option(help="The daemon's configuration instead of ours; link and scenario are filled in."),
     ] = None,
     load: Annotated[float, typer.Option(min=0.1, max=6.73, help="What is picked up and dropped, kg.")] = 5.0,
     offset: Annotated[
@@ -116,13 +147,17 @@ def compare(
 ) -> None:
     """Fly the same pick-up and drop under the autopilot's own height hold and under the daemon's controllers.
 
-    Starts firmware and physics for each flight, measures from true states, and writes a table, figures and
-    report.html. All of it waits for each other (lock-step), so that a slow computer changes nothing but the
-    time it takes: about a minute for each of ten flights with real firmware.
+    Starts firmware and physics for each flight (or joins what runs: --join), measures from true states, and
+    writes a table, figures and report.html. All of it waits for each other (lock-step), so that a slow
+    computer changes nothing but the time it takes: about a minute for each of ten flights with real firmware.
     """
     from kffa_offboard.compare.command import run_compare
-    from kffa_offboard.compare.plan import ComparePlan, Conditions
+    from kffa_offboard.compare.plan import ComparePlan, Conditions, Join
 
+    if join is None and (physics_port is not None or truth is not None or lockstep):
+        raise UserError(
+            "--physics-port, --truth and --lockstep go with --join URL; give it, or leave them out"
+        )
     conditions = Conditions(load_kg=load, offset_m=offset, rate_hz=rate, delay_s=delay, seed=seed)
     plan = ComparePlan(
         directory=out,
@@ -132,6 +167,8 @@ def compare(
         full=full,
         only=tuple(only or ()),
         json=json,
+        join=None if join is None else Join(join, physics_port, truth, lockstep),
+        config=config,
     )
     raise typer.Exit(run_compare(plan))
 

@@ -23,6 +23,7 @@ from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.compare.firmware_end import FirmwareEnd
 from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
 from kffa_offboard.mavlink.transport import Datagram
 from kffa_offboard.trials.metrics import FlightFailed
@@ -43,17 +44,20 @@ class Bridge:
     ----------
     target_system : system id of the firmware, in whose name the barrier is sent
     delay_s : of the link, in simulated time, each way
+    firmware : where the firmware is met, if not on a free port
     """
 
-    def __init__(self, target_system: int, delay_s: float) -> None:
-        self._firmware, self._daemon, self._physics = (_socket() for _ in range(3))
-        self.firmware_port, self.daemon_port, self.physics_port = (
-            int(end.getsockname()[1]) for end in (self._firmware, self._daemon, self._physics)
+    def __init__(self, target_system: int, delay_s: float, firmware: FirmwareEnd | None = None) -> None:
+        self._firmware = firmware or FirmwareEnd()
+        self._daemon, self._physics = loopback_socket(), loopback_socket()
+        self.firmware_port = self._firmware.port
+        self.daemon_port, self.physics_port = (
+            int(end.getsockname()[1]) for end in (self._daemon, self._physics)
         )
         self._delay_us = round(delay_s * 1e6)
         self._barrier = Component(Route(own_system=target_system, own_component=1))
         self._parser = FrameParser(keeps_frames_whole=True)
-        self._firmware_at: Address | None = None
+        self._turn = threading.Lock()
         self._daemon_at: Address | None = None
         self._time_us = 0
         self._to_daemon: deque[tuple[int, bytes]] = deque()
@@ -70,6 +74,17 @@ class Bridge:
         """The daemon has ended: nobody is waited for any more."""
         self._stop.set()
 
+    def welcome(self, target_system: int, delay_s: float) -> None:
+        """Wait for the next daemon or other pilot, over a link with this delay; the last one has ended."""
+        with self._turn:
+            self._barrier = Component(Route(own_system=target_system, own_component=1))
+            self._delay_us = round(delay_s * 1e6)
+            deque(received(self._daemon), maxlen=0)  # last words
+            self._daemon_at, self.trouble = None, ""
+            self._to_daemon.clear()
+            self._to_firmware.clear()
+            self._stop.clear()
+
     def run(self) -> None:
         """Serve barriers until the sockets are closed."""
         while True:
@@ -77,7 +92,8 @@ class Bridge:
                 ready, _, _ = select.select([self._physics], [], [], POLL_S)
                 if ready:
                     word, physics_at = self._physics.recvfrom(64)
-                    self._pass((struct.unpack("<Q", word))[0])
+                    with self._turn:
+                        self._pass((struct.unpack("<Q", word))[0])
                     self._physics.sendto(word, physics_at)
             except (OSError, ValueError):  # closed
                 return
@@ -100,20 +116,16 @@ class Bridge:
             if self._daemon_at is not None:
                 self._give_turn(self._daemon_at, slack_us)
         while self._to_firmware and self._to_firmware[0][0] <= time_us + slack_us:
-            data = self._to_firmware.popleft()[1]
-            if self._firmware_at is not None:
-                self._firmware.sendto(data, self._firmware_at)
+            self._firmware.send(self._to_firmware.popleft()[1])
 
     def _hear_firmware(self) -> None:
-        for data, sender in _received(self._firmware):
-            self._firmware_at = sender
-            for message in self._parser.parse(Datagram(self._time_us, data, sender)):
-                if message.get_type() != "TIMESYNC":
-                    self._to_daemon.append((self._time_us + self._delay_us, bytes(message.get_msgbuf())))
+        for message in self._firmware.receive():
+            if message.get_type() != "TIMESYNC":
+                self._to_daemon.append((self._time_us + self._delay_us, bytes(message.get_msgbuf())))
 
     def _meet_daemon(self) -> None:
         """The daemon's first words tell where it is; what the firmware said before is stale."""
-        for _, sender in _received(self._daemon):
+        for _, sender in received(self._daemon):
             self._daemon_at = sender
         while self._to_daemon and self._to_daemon[0][0] < self._time_us:
             self._to_daemon.popleft()
@@ -130,7 +142,7 @@ class Bridge:
                 self.trouble = f"the daemon did not answer a barrier for {ANSWER_LIMIT_S:g} s of wall time"
                 return
             select.select([self._daemon], [], [], POLL_S)
-            for data, _ in _received(self._daemon):
+            for data, _ in received(self._daemon):
                 for message in self._parser.parse(Datagram(self._time_us, data, daemon_at)):
                     if self._is_answer(message):
                         return
@@ -141,9 +153,9 @@ class Bridge:
 
 
 @contextlib.contextmanager
-def bridge(target_system: int, delay_s: float) -> Iterator[Bridge]:
+def bridge(target_system: int, delay_s: float, firmware: FirmwareEnd | None = None) -> Iterator[Bridge]:
     """A bridge that serves in a thread of its own until the block is left."""
-    served = Bridge(target_system, delay_s)
+    served = Bridge(target_system, delay_s, firmware)
     thread = threading.Thread(target=served.run, name="bridge", daemon=True)
     thread.start()
     try:
@@ -153,15 +165,16 @@ def bridge(target_system: int, delay_s: float) -> Iterator[Bridge]:
         thread.join()
 
 
-def _socket() -> socket.socket:
+def loopback_socket() -> socket.socket:
+    """A UDP socket on a free port of loopback that never waits."""
     end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     end.bind((LOOPBACK, 0))
     end.setblocking(False)
     return end
 
 
-def _received(end: socket.socket) -> Iterator[tuple[bytes, Address]]:
-    """What has come."""
+def received(end: socket.socket) -> Iterator[tuple[bytes, Address]]:
+    """What has come, without waiting."""
     while True:
         try:
             yield end.recvfrom(SIZE)

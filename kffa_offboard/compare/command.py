@@ -14,8 +14,9 @@ from kffa_offboard.compare.course import flown_steps
 from kffa_offboard.compare.firmware import find_firmware
 from kffa_offboard.compare.flight import Progress as ShowProgress
 from kffa_offboard.compare.flight import fly
+from kffa_offboard.compare.joining import check_join, joined
 from kffa_offboard.compare.measure import measure_load, measure_steps
-from kffa_offboard.compare.plan import ComparePlan, Trial, trials
+from kffa_offboard.compare.plan import ComparePlan, Join, Trial, trials
 from kffa_offboard.compare.report import Drawing, report
 from kffa_offboard.compare.results import Result, as_json, verdicts
 from kffa_offboard.compare.simulation import Setup
@@ -37,7 +38,10 @@ def run_compare(plan: ComparePlan) -> int:
     console = Console(stderr=True)
     try:
         with terminate_as_interrupt():
-            results = _fly_all(setup, chosen, console)
+            if plan.join is None:
+                results = _fly_all(setup, chosen, console)
+            else:
+                results = _fly_joined(plan, plan.join, setup, chosen, console)
     except KeyboardInterrupt:
         print("stopped", file=sys.stderr)
         return INTERRUPTED
@@ -57,6 +61,7 @@ def run_compare(plan: ComparePlan) -> int:
 
 
 def _prepare(plan: ComparePlan) -> tuple[Setup, list[Trial]]:
+    check_join(plan)
     binary = None if plan.firmware is None else find_firmware(plan.autopilot, plan.firmware)
     chosen = trials(plan)
     known = {trial.name for trial in trials(replace(plan, only=(), full=True))}
@@ -70,7 +75,7 @@ def _prepare(plan: ComparePlan) -> tuple[Setup, list[Trial]]:
         plan.directory.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise UserError(f"--out {plan.directory}: {error.strerror}; choose another directory") from error
-    return Setup(plan.autopilot, binary, plan.directory.resolve()), chosen
+    return Setup(plan.autopilot, binary, plan.directory.resolve(), config=plan.config), chosen
 
 
 def _fly_all(setup: Setup, chosen: list[Trial], console: Console) -> list[Result]:
@@ -95,6 +100,19 @@ def _fly_all(setup: Setup, chosen: list[Trial], console: Console) -> list[Result
             results.append(_fly_one(setup, trial, show))
             bar.advance(task)
     return results
+
+
+def _fly_joined(
+    plan: ComparePlan, join: Join, setup: Setup, chosen: list[Trial], console: Console
+) -> list[Result]:
+    """One after the other on the running firmware, its own rows last.
+
+    PX4's estimate of climb rate is off for minutes after a landing of its own.
+    """
+    with joined(plan, join) as running:
+        flown = sorted(chosen, key=lambda trial: trial.native)
+        results = _fly_all(replace(setup, joined=running), flown, console)
+    return sorted(results, key=lambda result: chosen.index(result.trial))
 
 
 def _fly_one(setup: Setup, trial: Trial, show: ShowProgress) -> Result:

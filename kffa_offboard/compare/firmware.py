@@ -12,6 +12,7 @@ import socket
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from kffa_offboard.compare.plan import AutopilotName
 from kffa_offboard.config import bundled
@@ -20,6 +21,8 @@ from kffa_offboard.trials.processes import free_port
 
 HOME = "47.397742,8.545594,488,0"
 """Where ArduCopter believes to start: latitude, longitude, altitude [m], heading [deg]."""
+
+OUTPUTS_TIMEOUT_S = 0.25
 
 PX4_AIRFRAME = "10016"
 FIRST_INSTANCE, LAST_INSTANCE = 20, 220
@@ -142,6 +145,18 @@ class Firmware:
 
 ARDUCOPTER = Firmware("ardupilot-json-vehicle.toml", "ardupilot_json", arducopter, lambda instance: 1, 0.0025)
 PX4 = Firmware("px4-hil-vehicle.toml", "px4_hil", px4, lambda instance: instance + 1, 0.004)
+
+
+def physics_backend(name: Firmware, port: int, barrier_port: int) -> dict[str, Any]:
+    """[backend] of physics that goes as fast as the firmware can; `barrier_port` 0 for no barrier."""
+    section: dict[str, Any] = {"port": port}
+    if name.section == PX4.section:
+        # OFFBOARD before its first setpoint stops PX4's outputs, and with them its time: go on soon.
+        section["outputs_timeout_s"] = OUTPUTS_TIMEOUT_S
+    backend: dict[str, Any] = {"real_time_factor": 0.0, name.section: section}
+    if barrier_port:
+        backend |= {"barrier_port": barrier_port, "barrier_period_s": name.barrier_period_s}
+    return backend
 
 
 def free_instance() -> int:

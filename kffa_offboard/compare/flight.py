@@ -108,7 +108,7 @@ def _fly_daemon(setup: Setup, trial: Trial, running: Simulation, progress: Progr
 
     Returns a remark if the vehicle has landed and would not be disarmed.
     """
-    _wait_for_head_start(running, progress)
+    wait_for_head_start(running, progress)
     config = setup.file(trial, ".toml")
     config.write_text(toml_text(daemon_document(setup, trial, running)), encoding="utf-8")
     log = setup.file(trial, ".tlog")
@@ -122,7 +122,7 @@ def _fly_daemon(setup: Setup, trial: Trial, running: Simulation, progress: Progr
         "--arm",
         "--engage",
         "--json",
-        "--lockstep",
+        *(["--lockstep"] if running.lockstep else []),
     ]
     with process(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as daemon:
         listener = Listener(daemon.stderr, setup.file(trial, "-daemon.log"))
@@ -151,7 +151,8 @@ def _fly_daemon(setup: Setup, trial: Trial, running: Simulation, progress: Progr
     raise FlightFailed(f"{trial.controller}: {summary['reason']}")
 
 
-def _wait_for_head_start(running: Simulation, progress: Progress) -> None:
+def wait_for_head_start(running: Simulation, progress: Progress) -> None:
+    """Let the firmware boot and its estimator settle. Raises FlightFailed if time does not pass."""
     began = time.monotonic()
     while running.time_s < running.head_start_s:
         running.check()
@@ -166,15 +167,15 @@ def _wait_for_head_start(running: Simulation, progress: Progress) -> None:
 
 def daemon_document(setup: Setup, trial: Trial, running: Simulation) -> dict[str, Any]:
     """The daemon's configuration of a trial: ours for this firmware, with the trial's link and course."""
-    imitation = setup.binary is None
+    imitation = setup.binary is None and setup.joined is None
     name = f"demo-{setup.autopilot}.toml" if imitation else f"compare-{setup.autopilot}.toml"
-    base = read_toml(bundled(name))
+    base = read_toml(setup.config or bundled(name))
     rate, delay = trial.conditions.rate_hz, trial.conditions.delay_s
     changes: dict[str, Any] = {
         "link": {"url": running.url, "target_system": running.target_system},
         "scenario": {"segment": course(trial)},
     }
-    if rate != base["telemetry"]["attitude_hz"]:
+    if rate != base.get("telemetry", {}).get("attitude_hz"):
         changes["telemetry"] = {"attitude_hz": rate, "position_hz": rate}
     if delay != NORMAL_DELAY_S:
         changes["control"] = _with_delay(base["control"], delay - NORMAL_DELAY_S)

@@ -79,6 +79,24 @@ class Trial:
 
 
 @dataclass(frozen=True)
+class Join:
+    """A firmware that is already running.
+
+    Attributes
+    ----------
+    url : where it is met, udpin:HOST:PORT or udpout:HOST:PORT
+    physics_port : where it looks for its physics; None for the usual port
+    truth : if its physics is running, too, the CSV of true states that it writes; None to start ours
+    lockstep : that physics waits for the daemon
+    """
+
+    url: str
+    physics_port: int | None = None
+    truth: Path | None = None
+    lockstep: bool = False
+
+
+@dataclass(frozen=True)
 class ComparePlan:
     """What the command line asks for; see `kffa-offboard compare --help`."""
 
@@ -89,6 +107,8 @@ class ComparePlan:
     full: bool = False
     only: tuple[str, ...] = ()
     json: bool = False
+    join: Join | None = None
+    config: Path | None = None
 
 
 NATIVE_MODE: dict[AutopilotName, str] = {"px4": "Hold", "ardupilot": "Guided"}
@@ -103,9 +123,23 @@ def trials(plan: ComparePlan) -> list[Trial]:
         chosen = [trial for trial in chosen if not trial.tuned]
     if plan.full:
         chosen += _harder(plan.autopilot, plan.conditions)
+    if plan.join is not None:
+        chosen = [_as_it_is(trial) for trial in chosen if _can_be_joined(plan, plan.join, trial)]
     if plan.only:
         chosen = [trial for trial in chosen if trial.name in plan.only]
     return chosen
+
+
+def _can_be_joined(plan: ComparePlan, join: Join, trial: Trial) -> bool:
+    """A running firmware keeps its gains, and running physics its load, seed and link."""
+    same = replace(trial.conditions, rate_hz=plan.conditions.rate_hz)
+    if join.truth is None:
+        same = replace(same, delay_s=plan.conditions.delay_s)
+    return not trial.tuned and same == plan.conditions
+
+
+def _as_it_is(trial: Trial) -> Trial:
+    return replace(trial, label=trial.label.replace("stock gains", "as it is"))
 
 
 def _standard(autopilot: AutopilotName, conditions: Conditions) -> list[Trial]:

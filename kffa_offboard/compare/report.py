@@ -157,12 +157,14 @@ def _verdict_table(verdicts: Sequence[Verdict]) -> str:
 def _setup(plan: ComparePlan, results: Sequence[Result]) -> str:
     conditions = plan.conditions
     interface = {"px4": "HIL interface", "ardupilot": "JSON interface"}[plan.autopilot]
-    if plan.firmware is None:
+    if plan.firmware is None and plan.join is None:
         where = (
             "the simulator’s bundled imitation of the firmware: these figures say nothing about the real one"
         )
     else:
         where = f"its own software-in-the-loop build over its {interface}, in lock-step with the physics"
+    if plan.join is not None:
+        where = f"already running, with whatever parameters it had, met on {escape(plan.join.url)}"
     items = [
         f"Autopilot: {escape(firmware_name(plan, results))}, {where}.",
         "Vehicle: 10 kg quadrotor, full thrust 246 N, motors lag by 50 ms, arm 0.44 m; the load hangs rigidly 0.3 m "
@@ -189,6 +191,8 @@ def _setup(plan: ComparePlan, results: Sequence[Result]) -> str:
 
 
 def _parameters(plan: ComparePlan) -> str:
+    if plan.join is not None:
+        return "<p>Those of the firmware as it was found.</p>"
     if plan.firmware is None:
         return "<p>The bundled firmware’s defaults.</p>"
     parts = []
@@ -205,6 +209,8 @@ def _parameters(plan: ComparePlan) -> str:
 def _repeat(plan: ComparePlan) -> str:
     path = {"px4": "PX4-Autopilot/build/px4_sitl_default", "ardupilot": "ardupilot/build/sitl/bin/arducopter"}
     firmware = "" if plan.firmware is None else f" --firmware {path[plan.autopilot]}"
+    if plan.join is not None:
+        firmware = f" --join {escape(plan.join.url)}"
     return (
         f"<pre>kffa-offboard compare --autopilot {plan.autopilot}{firmware} "
         f"--load {plan.conditions.load_kg:g}{' --full' if plan.full else ''} --out compare-out</pre>"

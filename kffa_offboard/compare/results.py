@@ -132,7 +132,7 @@ def as_json(plan: ComparePlan, results: Sequence[Result]) -> dict[str, Any]:
     versions = [result.flown.version for result in results if result.flown and result.flown.version]
     return {
         "autopilot": plan.autopilot,
-        "firmware": "bundled imitation" if plan.firmware is None else str(plan.firmware),
+        "firmware": _firmware(plan),
         "firmware_version": None if not versions else asdict(versions[0]),
         "trials": [
             {
@@ -146,3 +146,9 @@ def as_json(plan: ComparePlan, results: Sequence[Result]) -> dict[str, Any]:
         ],
         "targets": [asdict(verdict) for verdict in verdicts(plan, results)],
     }
+
+
+def _firmware(plan: ComparePlan) -> str:
+    if plan.join is not None:
+        return f"joined on {plan.join.url}"
+    return "bundled imitation" if plan.firmware is None else str(plan.firmware)

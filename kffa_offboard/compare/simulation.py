@@ -11,10 +11,10 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeAlias
 
 from kffa_offboard.compare import firmware
-from kffa_offboard.compare.bridge import Bridge, bridge
+from kffa_offboard.compare.bridge import bridge
 from kffa_offboard.compare.plan import DROP_S, HEAD_START_S, NORMAL_DELAY_S, PICKUP_S, AutopilotName, Trial
 from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.config import bundled
@@ -24,10 +24,32 @@ from kffa_offboard.trials.processes import flown_s, free_port, last_line, proces
 SIMULATED_LIMIT_S = 1000.0
 """The physics ends by itself after so much simulated time, should it ever be left alone."""
 
-OUTPUTS_TIMEOUT_S = 0.25
+PATIENCE_S = 60.0
+"""Wall time that the imitation waits for its pilot, on a machine that is busy with other things."""
 
 FIRMWARE_PATIENCE_S = 2.0
 """How long a firmware may take to end when asked: it has nothing to lose."""
+
+
+Physics: TypeAlias = tuple[str, "subprocess.Popen[str]", Path]
+"""What it is called, its process, its log."""
+
+
+class Between(Protocol):
+    """What stands between firmware and daemon."""
+
+    def check(self) -> None:
+        """Raises FlightFailed if the link broke in the middle of the flight."""
+
+    def let_go(self) -> None:
+        """The daemon has ended."""
+
+
+class JoinedFirmware(Protocol):
+    """A firmware that is already running; see `joining`."""
+
+    def flight(self, trial: Trial, truth: Path) -> contextlib.AbstractContextManager[Simulation]:
+        """What `trial` needs but its pilot."""
 
 
 @dataclass(frozen=True)
@@ -39,11 +61,15 @@ class Setup:
     autopilot : PX4 or ArduCopter
     binary : the firmware's program; None for the bundled imitation, which flies in lock-step with its pilot
     directory : of logs, configurations and true states
+    joined : a firmware that somebody else has started; then `binary` is None
+    config : the daemon's gains, instead of ours for this firmware
     """
 
     autopilot: AutopilotName
     binary: Path | None
     directory: Path
+    joined: JoinedFirmware | None = None
+    config: Path | None = None
 
     def file(self, trial: Trial, ending: str) -> Path:
         """A file of a trial."""
@@ -61,14 +87,16 @@ class Simulation:
     truth : CSV of true states, growing
     head_start_s : simulated time that the estimator needs
     bridge : between firmware and daemon; None if there is none
+    lockstep : simulated time waits for the daemon
     """
 
     url: str
     target_system: int
     truth: Path
     head_start_s: float
-    processes: tuple[tuple[str, subprocess.Popen[str], Path], ...]
-    bridge: Bridge | None = None
+    processes: tuple[Physics, ...]
+    bridge: Between | None = None
+    lockstep: bool = True
 
     def check(self) -> None:
         """Raises FlightFailed, with its last word, if one of the processes has ended."""
@@ -93,7 +121,9 @@ def simulation(setup: Setup, trial: Trial) -> Iterator[Simulation]:
     truth = setup.file(trial, "-truth.csv")
     truth.unlink(missing_ok=True)
     with contextlib.ExitStack() as stack:
-        if setup.binary is None:
+        if setup.joined is not None:
+            yield stack.enter_context(setup.joined.flight(trial, truth))
+        elif setup.binary is None:
             yield _imitation(setup, trial, truth, stack)
         else:
             yield _real(setup, trial, truth, setup.binary, stack)
@@ -109,7 +139,8 @@ def _imitation(setup: Setup, trial: Trial, truth: Path, stack: contextlib.ExitSt
         "telemetry_delay_s": max(0.0, base["link"]["telemetry_delay_s"] + more),
         "command_delay_s": max(0.0, base["link"]["command_delay_s"] + more),
     }
-    changes = {"link": link, "lockstep": {"enabled": True}}
+    lockstep = {"enabled": True, "connect_timeout_s": PATIENCE_S, "answer_timeout_s": PATIENCE_S}
+    changes = {"link": link, "lockstep": lockstep}
     physics = _physics(setup, trial, truth, merged(base, changes), stack)
     return Simulation(f"udpin:127.0.0.1:{port}", 1, truth, 0.0, (physics,))
 
@@ -126,13 +157,8 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
         link = stack.enter_context(bridge(name.system_id(instance), trial.conditions.delay_s / 2.0))
     link_port = free_port() if link is None else link.firmware_port
     wanted = name.start(binary, directory, link_port, instance, trial.tuned)
-    backend: dict[str, Any] = {"real_time_factor": 0.0, name.section: {"port": wanted.physics_port}}
-    if link is not None:
-        backend["barrier_port"] = link.physics_port
-        backend["barrier_period_s"] = name.barrier_period_s
-    if setup.autopilot == "px4":
-        # OFFBOARD before its first setpoint stops PX4's outputs, and with them its time: go on soon.
-        backend[name.section]["outputs_timeout_s"] = OUTPUTS_TIMEOUT_S
+    barrier_port = 0 if link is None else link.physics_port
+    backend = firmware.physics_backend(name, wanted.physics_port, barrier_port)
     document = merged(_read(bundled(name.physics)), {"backend": backend})
     physics = _physics(setup, trial, truth, document, stack)
     log = setup.file(trial, "-firmware.log")
@@ -154,7 +180,7 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
 
 def _physics(
     setup: Setup, trial: Trial, truth: Path, document: dict[str, Any], stack: contextlib.ExitStack
-) -> tuple[str, subprocess.Popen[str], Path]:
+) -> Physics:
     """The simulator's process with the load of this trial."""
     conditions = trial.conditions
     schedule = [{"time_s": PICKUP_S, "mass_kg": conditions.load_kg}]
@@ -168,16 +194,25 @@ def _physics(
         "gripper_mass_kg": conditions.load_kg,
         "offset_m": [conditions.offset_m, 0.0, down],
     }
-    config = setup.file(trial, "-vehicle.toml")
-    config.write_text(
-        toml_text(merged(document, {"payload": payload, "vehicle": {"seed": conditions.seed}})),
-        encoding="utf-8",
+    document = merged(document, {"payload": payload, "vehicle": {"seed": conditions.seed}})
+    return start_physics(
+        setup.file(trial, ""), truth, document, stack, ("--duration", str(SIMULATED_LIMIT_S))
     )
-    log = setup.file(trial, "-vehicle.log")
+
+
+def start_physics(
+    stem: Path,
+    truth: Path,
+    document: dict[str, Any],
+    stack: contextlib.ExitStack,
+    options: tuple[str, ...] = (),
+) -> Physics:
+    """The simulator's process; its configuration and log are `stem`-vehicle.toml and .log."""
+    config, log = (stem.with_name(f"{stem.name}-vehicle{ending}") for ending in (".toml", ".log"))
+    config.write_text(toml_text(document), encoding="utf-8")
     output = stack.enter_context(log.open("w", encoding="utf-8"))
     command = [sys.executable, "-m", "sim_vehicle", "run", "--config", str(config), "--truth", str(truth)]
-    command += ["--duration", str(SIMULATED_LIMIT_S)]
-    child = stack.enter_context(process(command, stdout=output, stderr=output))
+    child = stack.enter_context(process([*command, *options], stdout=output, stderr=output))
     return ("the simulated vehicle", child, log)
 
 

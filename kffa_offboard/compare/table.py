@@ -28,7 +28,7 @@ _DASH = "—"
 def firmware_name(plan: ComparePlan, results: Sequence[Result]) -> str:
     """Name, version and commit of the firmware."""
     name = {"px4": "PX4", "ardupilot": "ArduCopter"}[plan.autopilot]
-    if plan.firmware is None:
+    if plan.firmware is None and plan.join is None:
         return f"the bundled imitation of {name}"
     versions = [result.flown.version for result in results if result.flown and result.flown.version]
     return f"{name} {versions[0].number} ({versions[0].commit})" if versions else name

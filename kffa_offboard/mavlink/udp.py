@@ -161,6 +161,10 @@ class UdpLink:
         """See `transport.Link`."""
         self._peer = source
 
+    def fileno(self) -> int:
+        """For `select`, beside other sockets."""
+        return self._socket.fileno()
+
     def close(self) -> None:
         """See `transport.Link`."""
         self._socket.close()

@@ -147,3 +147,19 @@ def test_nobody_waits_for_a_daemon_that_has_ended(ends: Ends) -> None:
     assert ends.let_go()
     ends.come_to_barrier()
     assert ends.let_go()
+
+
+def test_the_next_daemon_is_waited_for_again(ends: Ends) -> None:
+    ends.command(heartbeat())
+    ends.come_to_barrier()
+    assert ends.turn() == []
+    assert ends.let_go()
+    ends.link.let_go()
+    ends.command(heartbeat())  # last words of the first daemon
+    ends.link.welcome(7, DELAY_S)
+    ends.come_to_barrier()
+    assert ends.let_go()
+    ends.command(heartbeat())
+    ends.come_to_barrier()
+    assert ends.turn() == []
+    assert ends.let_go()

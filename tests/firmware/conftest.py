@@ -1,7 +1,7 @@
 """Real firmware in software-in-the-loop: in a directory of its own, on loopback, ended by its own pid.
 
-Nothing here is built or downloaded: KFFA_ARDUCOPTER names an `arducopter` binary built for SITL. Without it
-these tests are skipped.
+Nothing here is built or downloaded: KFFA_ARDUCOPTER names an `arducopter` binary built for SITL, KFFA_PX4 the
+build directory of a PX4. Without it a test is skipped.
 """
 
 from __future__ import annotations
@@ -17,9 +17,16 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.compare.firmware import find_firmware
+from kffa_offboard.compare.plan import AutopilotName
+from kffa_offboard.errors import UserError
 from sim_vehicle.backends.ardupilot_vehicle import ArdupilotVehicle
 from sim_vehicle.config import load
 
+BUILDS: dict[AutopilotName, tuple[str, str]] = {
+    "ardupilot": ("KFFA_ARDUCOPTER", "an arducopter binary built for SITL"),
+    "px4": ("KFFA_PX4", "a PX4 build directory (with bin/px4 and etc)"),
+}
 CONFIGS = Path(__file__).parents[2] / "configs"
 SILENCE_S = 20.0
 GUIDED = 4
@@ -139,15 +146,29 @@ class ArduCopter:
         return report is not None and report.flags & POSITION_GOOD == POSITION_GOOD
 
 
+@pytest.fixture(scope="session")
+def firmware_binary() -> Callable[[AutopilotName], Path]:
+    """Finds the program of "px4" or "ardupilot"; skips the test if none is named."""
+
+    def find(autopilot: AutopilotName) -> Path:
+        variable, what = BUILDS[autopilot]
+        named = os.environ.get(variable, "")
+        if not named:
+            pytest.skip(f"{variable} does not name {what}")
+        try:
+            return find_firmware(autopilot, Path(named))
+        except UserError as problem:
+            pytest.fail(f"{variable}: {problem}")
+
+    return find
+
+
 @pytest.fixture(scope="module")
-def arducopter(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[..., ArduCopter]]:
+def arducopter(
+    firmware_binary: Callable[[AutopilotName], Path], tmp_path_factory: pytest.TempPathFactory
+) -> Iterator[Callable[..., ArduCopter]]:
     """Makes ArduCopters, not yet started; keyword arguments are sections of the vehicle's configuration."""
-    named = os.environ.get("KFFA_ARDUCOPTER", "")
-    if not named:
-        pytest.skip("KFFA_ARDUCOPTER does not name an arducopter binary built for SITL")
-    binary = Path(named).absolute()
-    if not os.access(binary, os.X_OK):
-        pytest.fail(f"KFFA_ARDUCOPTER = {named}: no executable file there")
+    binary = firmware_binary("ardupilot")
     with contextlib.ExitStack() as stack:
 
         def make(**sections: dict[str, Any]) -> ArduCopter:

@@ -1,4 +1,4 @@
-"""An unmodified PX4 flies the simulated vehicle. KFFA_PX4 names its build directory (bin/px4 and etc)."""
+"""An unmodified PX4 flies the simulated vehicle."""
 
 from __future__ import annotations
 
@@ -15,28 +15,22 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.compare.plan import AutopilotName
 from sim_vehicle.backends import px4_backend
 from sim_vehicle.backends.px4_backend import Px4HilBackend
 from sim_vehicle.backends.px4_port import Px4Port
 from sim_vehicle.config import build
 from sim_vehicle.truth import TruthRow
 
-BUILD = os.environ.get("KFFA_PX4", "")
 PARAMETERS = Path(__file__).parents[2] / "configs" / "px4-hil"
 AUTO_LOITER, OFFBOARD = (4, 3), (6, 0)
-pytestmark = [
-    pytest.mark.skipif(
-        not BUILD, reason="KFFA_PX4 does not name a PX4 build directory (with bin/px4 and etc)"
-    ),
-    pytest.mark.timeout(120),
-]
+pytestmark = pytest.mark.timeout(400)
 
 
 class Px4Process:
     """One PX4, in a directory of its own, known by its instance number."""
 
-    def __init__(self, directory: Path, instance: int) -> None:
-        build_directory = Path(BUILD).resolve()
+    def __init__(self, binary: Path, directory: Path, instance: int) -> None:
         self.directory = directory
         environment = {
             **os.environ,
@@ -47,13 +41,13 @@ class Px4Process:
         with (directory / "px4.log").open("a", encoding="utf-8") as log:
             self._process = subprocess.Popen(
                 [
-                    build_directory / "bin" / "px4",
+                    binary,
                     "-d",
                     "-i",
                     str(instance),
                     "-w",
                     directory,
-                    build_directory / "etc",
+                    binary.parent.parent / "etc",
                 ],
                 cwd=directory,
                 env=environment,
@@ -101,7 +95,8 @@ class Flight:
     armed : the same heartbeat's
     """
 
-    def __init__(self, directory: Path, **payload: Any) -> None:
+    def __init__(self, binary: Path, directory: Path) -> None:
+        self.binary = binary
         self.instance = _free_instance()
         self.directory = directory
         self.lines: list[str] = []
@@ -109,7 +104,7 @@ class Flight:
         self.armed = False
         self.acks: list[tuple[int, int]] = []
         self.port = Px4Port("127.0.0.1", 4560 + self.instance)
-        config = build({"backend": {"kind": "px4-hil", "real_time_factor": 0.0}, "payload": payload}, "test")
+        config = build({"backend": {"kind": "px4-hil", "real_time_factor": 0.0}}, "test")
         self.backend = Px4HilBackend(config, self.port, self.lines.append)
         self._codec: Any = mavlink.MAVLink(file=None, srcSystem=254, srcComponent=190)
         self._codec.robust_parsing = True
@@ -118,7 +113,7 @@ class Flight:
         self._link.setblocking(False)
         self._next_heartbeat = 0.0
         self._wanted: Callable[[], bool] = lambda: False
-        self.px4 = Px4Process(directory, self.instance)
+        self.px4 = Px4Process(binary, directory, self.instance)
 
     def close(self) -> None:
         self.px4.end()
@@ -206,9 +201,12 @@ class _Reached(Exception):
 
 
 @pytest.fixture
-def flight(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Flight]:
+def flight(
+    firmware_binary: Callable[[AutopilotName], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Flight]:
+    binary = firmware_binary("px4")
     monkeypatch.setattr(px4_backend, "PROGRESS_S", 0.0)  # the ground station listens after every frame
-    flown = Flight(tmp_path)
+    flown = Flight(binary, tmp_path)
     try:
         yield flown
     finally:
@@ -274,7 +272,7 @@ def test_a_px4_that_was_stopped_goes_on_when_it_is_continued(flight: Flight) -> 
 def test_a_restarted_px4_flies_the_vehicle_again(flight: Flight) -> None:
     flight.arm_and_take_off(3.0)
     flight.px4.end()
-    flight.px4 = Px4Process(flight.directory, flight.instance)
+    flight.px4 = Px4Process(flight.binary, flight.directory, flight.instance)
     flight.armed = False
     flight.fly(10.0)
     assert any("PX4 is back" in line for line in flight.lines)

@@ -1,0 +1,51 @@
+"""kffa-offboard compare with unmodified firmware: own height hold, KFFA-LADRC, and its own release."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+pytestmark = pytest.mark.timeout(900)
+
+
+@dataclass(frozen=True)
+class Figures:
+    """docs/comparison.md, with room for the centimetre by which two flights differ."""
+
+    peak_m: float
+    release_peak_m: float
+    peak_ratio: float
+    iae_ratio: float
+
+
+DOCUMENTED = {
+    "px4": Figures(peak_m=0.065, release_peak_m=0.035, peak_ratio=8.0, iae_ratio=15.0),
+    "ardupilot": Figures(peak_m=0.065, release_peak_m=0.035, peak_ratio=3.5, iae_ratio=1.5),
+}
+
+
+@pytest.mark.parametrize("autopilot", DOCUMENTED)
+def test_a_load_moves_it_less_under_kffa_ladrc_than_in_its_own_mode(
+    autopilot: str, firmware_binary: Callable[[str], Path], tmp_path: Path
+) -> None:
+    only = [word for name in ("native-stock", "kffa-ladrc", "release") for word in ("--only", name)]
+    command = [sys.executable, "-m", "kffa_offboard", "compare", "--autopilot", autopilot]
+    command += ["--firmware", str(firmware_binary(autopilot)), "--json", "--out", str(tmp_path / "out")]
+    ended = subprocess.run([*command, *only], capture_output=True, text=True, timeout=880)
+    assert ended.returncode == 0, ended.stderr
+    results = json.loads(ended.stdout.splitlines()[-1])
+    assert results["firmware_version"] is not None
+    stock, ours, release = (trial["load"] for trial in results["trials"])
+    documented = DOCUMENTED[autopilot]
+    for event in ("pickup", "drop"):
+        assert ours[event]["peak_m"] < documented.peak_m
+        assert stock[event]["peak_m"] > documented.peak_ratio * ours[event]["peak_m"]
+        assert stock[event]["iae_m_s"] > documented.iae_ratio * ours[event]["iae_m_s"]
+    assert release["drop"]["peak_m"] < documented.release_peak_m
+    assert ours["level_rms_deg"] < 0.3
