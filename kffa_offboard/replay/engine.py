@@ -96,9 +96,7 @@ def replay_what_if(recording: Recording, flown: DaemonConfig, config: DaemonConf
     return replay(recording, config, applied)
 
 
-def replay(
-    recording: Recording, config: DaemonConfig, flown: Mapping[int, Array] | None = None
-) -> Replayed:
+def replay(recording: Recording, config: DaemonConfig, flown: Mapping[int, Array] | None = None) -> Replayed:
     """Drive the session of `config` through everything that came in, at the times when it came.
 
     `flown` are the commands that acted, by the times of the control steps, if they are not the session's own.
