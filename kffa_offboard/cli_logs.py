@@ -137,7 +137,8 @@ def tune(
 
     The loop is the one that flies, in discrete time, with delay, lag, Kalman filter and observer; margins
     hold at the command of each channel. On the altitude channel the Kalman filter is tuned, too; a table
-    and trade-off.png tell what margins cost. Writes tuned.toml, to be put into a configuration, and loops.png.
+    and trade-off.png tell what margins cost. Writes tuned.toml, to be put into a configuration, and
+    loops.png.
     """
     from kffa_offboard.loganalysis.margins import Wanted
     from kffa_offboard.loganalysis.tune_command import run_tune

@@ -31,6 +31,8 @@ SIGNIFICANT = 6.0
 MOTOR_LAG_S = 0.05
 CONTACT_S = 2.0
 """So long after lift-off and before landing the ground may carry a part of the weight."""
+CLEARANCE_M = 0.3
+"""Above the height at which it stood landed; lower than that the ground may still carry it."""
 STEADY_S = 2.0
 _STEADY_CLIMB_M_S, _STEADY_TILT_RAD = 0.2, 0.1
 
@@ -89,7 +91,7 @@ def track_mass(record: FlightRecord, hover_thrust: float, delay_s: float) -> Mas
     commanded = record.thrust.held(grid - delay_s)[:, 0]
     lagged, _ = lfilter([1.0 - decay], [1.0, -decay], commanded, zi=[decay * commanded[0]])
     push = GRAVITY / hover_thrust * lagged * np.cos(angles[:, 0]) * np.cos(angles[:, 1])
-    air = flying(record, grid) != 0.0
+    air = (flying(record, grid) != 0.0) & _clear_of_ground(record, grid)
     climb = record.velocity.interpolated(grid)[:, 2]
     slope, variance = _sliding_slope(np.cumsum(push) * GRID_S, climb + GRAVITY * (grid - begin), half)
     contact = 2 * round(CONTACT_S / GRID_S) + 1
@@ -99,6 +101,18 @@ def track_mass(record: FlightRecord, hover_thrust: float, delay_s: float) -> Mas
     ratio, ratio_std = np.where(usable, slope, np.nan), np.where(usable, std, np.nan)
     mass = 1.0 / np.clip(ratio, 0.1, 10.0)
     return MassTrack(grid, mass, ratio_std * mass**2, _changes(grid, mass, ratio_std * mass**2, half))
+
+
+def _clear_of_ground(record: FlightRecord, grid: Array) -> Array:
+    """Higher than where it stood: autopilots say "landed" seconds after the ground has taken the weight."""
+    if not record.position or not record.landed or np.all(record.landed.values == 0.0):
+        return np.ones(len(grid), dtype=bool)
+    on_ground = record.landed.held(record.position.time_s)[:, 0] != 0.0
+    heights = record.position.values[on_ground, 2]
+    if not heights.size:
+        return np.ones(len(grid), dtype=bool)
+    lowest = float(np.median(heights)) + CLEARANCE_M
+    return np.asarray(record.position.interpolated(grid)[:, 2] > lowest)
 
 
 def _sliding_slope(x: Array, y: Array, width: int) -> tuple[Array, Array]:

@@ -131,7 +131,7 @@ def test_the_filter_of_a_candidate_is_at_rest_where_the_filter_that_flies_comes_
     other = LinearController.of(parameters_of(ControlTable.model_validate({"altitude": table})), PERIOD_S)
     moved = LinearController.of(parameters_of(CONTROL), PERIOD_S).with_filter(3, 0.05**2, 700.0)
     assert moved.settled.kalman is not None and other.settled.kalman is not None
-    assert np.allclose(moved.settled.kalman.covariance, other.settled.kalman.covariance, rtol=2e-3, atol=1e-8)
+    assert np.allclose(moved.settled.kalman.covariance, other.settled.kalman.covariance, rtol=1e-2)
 
 
 @pytest.fixture(scope="module")
