@@ -17,7 +17,12 @@ from kffa_offboard.control.rotation import body_rates_to_euler_rates, euler_rate
 from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
 from kffa_offboard.offboard.flight import Directive
 from kffa_offboard.offboard.guard import check_target, tilt_factor
-from kffa_offboard.offboard.horizontal import HorizontalState, begin_horizontal, step_horizontal
+from kffa_offboard.offboard.horizontal import (
+    HorizontalState,
+    begin_horizontal,
+    position_reference,
+    step_horizontal,
+)
 from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry, reported_target, reported_thrust
@@ -246,6 +251,7 @@ def step_loop(
         hold_altitude=stop,
         horizontal=horizontal,
     )
+    place = position_reference(horizontal, order.directive)
     near = output.estimate
     if flown is not None and not np.all(np.isfinite(flown)):
         flown = np.where(np.isfinite(flown), flown, _as_measured(settings, known, near))
@@ -254,12 +260,14 @@ def step_loop(
         own = own if flown is None else flown
         controller = controllers.with_applied(parameters, controller, own)
         loop = replace(loop, controller=controller, vertical_thrust=float(own[3]))
-        return loop, LoopStep(None, _signals(time_us, order, times, measured, output, output.command, own))
+        return loop, LoopStep(
+            None, _signals(time_us, order, times, place, measured, output, output.command, own)
+        )
     loop, wanted, target = _wish(settings, loop, known, order, time_us, output.command, float(own[3]), near)
     since = max(dt, (time_us - loop.sent_us) * 1e-6)
     checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
     if checked.target is None:
-        signals = _signals(time_us, order, times, measured, output, wanted, wanted)
+        signals = _signals(time_us, order, times, place, measured, output, wanted, wanted)
         return replace(loop, controller=controller), LoopStep(None, signals, checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
@@ -274,7 +282,9 @@ def step_loop(
     )
     if sent is not wanted:
         output = replace(output, saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
-    return loop, LoopStep(checked.target, _signals(time_us, order, times, measured, output, sent, applied))
+    return loop, LoopStep(
+        checked.target, _signals(time_us, order, times, place, measured, output, sent, applied)
+    )
 
 
 def _averaged(loop: LoopState, thrust: float, dt: float) -> float:
@@ -313,6 +323,7 @@ def _signals(
     time_us: int,
     order: Order,
     times: tuple[float, float],
+    place: tuple[float, float] | None,
     measured: Array,
     output: controllers.ControllerOutput,
     command: Array,
@@ -333,4 +344,5 @@ def _signals(
         saturated=tuple(output.saturated.tolist()),
         dt=times[0],
         latency_s=times[1],
+        position_reference=place,
     )
