@@ -54,7 +54,7 @@
     const layout = panel.layout;
     const axis = { gridcolor: ink["xaxis.gridcolor"], zeroline: false, automargin: false };
     Object.assign(layout, {
-      margin: { l: 62, r: 10, t: 8, b: 42 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+      margin: { l: 62, r: 10, t: touch || narrow ? 8 : 26, b: 42 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { family: "system-ui, sans-serif", size: 12, color: ink["font.color"] }, dragmode: touch ? false : "zoom",
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("--faint"), activecolor: ink["font.color"] },
       hoverlabel: { bgcolor: ink["hoverlabel.bgcolor"], bordercolor: ink["hoverlabel.bordercolor"],
