@@ -158,7 +158,7 @@ def test_a_peak_of_8_cm_leaves_more_than_4_decibels_27_degrees_and_35_ms(calm: C
 def test_all_default_margins_cost_a_peak_of_more_than_12_cm(search: AltitudeSearch) -> None:
     found = search.quickest(Wanted())
     assert found.margins.meet(Wanted())
-    assert 0.12 < found.peak < 0.17
+    assert 0.12 < found.peak < 0.2
 
 
 @pytest.mark.parametrize(("change_db", "stays"), [(-0.5, True), (0.5, False)])
