@@ -107,6 +107,7 @@ def identify(
         "Examples:\n\n"
         "    kffa-offboard tune model.toml\n\n"
         "    kffa-offboard tune model.toml --phase-margin-deg 35 --telemetry-hz 50 --out tuned\n\n"
+        "    kffa-offboard tune model.toml --peak-m 0.08\n\n"
         "Exit status: 0 done, 2 wrong usage, or margins that no bandwidth has."
     )
 )
@@ -118,19 +119,32 @@ def tune(
     telemetry_hz: Annotated[
         float, typer.Option(min=10.0, max=400.0, help="Of attitude and position.")
     ] = 100.0,
-    out: Annotated[Path, typer.Option(help="Where tuned.toml and loops.png go.")] = Path("tune-out"),
+    peak_m: Annotated[
+        float | None,
+        typer.Option(
+            min=0.001,
+            max=10.0,
+            help="Instead of the margins: half the vehicle's mass, picked up or dropped, may move it so far; "
+            "the altitude channel gets the most margin that leaves.",
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Where tuned.toml, loops.png and trade-off.png go.")] = Path(
+        "tune-out"
+    ),
     json: Annotated[bool, typer.Option("--json", help="Print one JSON object, no table.")] = False,
 ) -> None:
-    """Pick omega_c and omega_o of each channel: the quickest that keep the margins.
+    """Pick omega_c, omega_o and how far each channel looks ahead: the quickest that keep the margins.
 
     The loop is the one that flies, in discrete time, with delay, lag, Kalman filter and observer; margins
-    hold at the command of each channel. Writes tuned.toml, to be put into a configuration, and loops.png.
+    hold at the command of each channel. On the altitude channel the Kalman filter is tuned, too; a table
+    and trade-off.png tell what margins cost. Writes tuned.toml, to be put into a configuration, and
+    loops.png.
     """
     from kffa_offboard.loganalysis.margins import Wanted
     from kffa_offboard.loganalysis.tune_command import run_tune
 
     wanted = Wanted(gain_margin_db, phase_margin_deg, delay_margin_ms * 1e-3)
-    raise typer.Exit(run_tune(model, wanted, 1.0 / telemetry_hz, out, json))
+    raise typer.Exit(run_tune(model, wanted, 1.0 / telemetry_hz, out, json, peak_m))
 
 
 @app.command(

@@ -1,8 +1,9 @@
 """The controller's inner signals as DEBUG_FLOAT_ARRAY messages, and back as arrays for plotting.
 
 Layout of `data` (name "kffa", array_id 0): nine blocks of four in channel order roll, pitch, yaw,
-altitude (`BLOCKS`), then the index of the state in `STATE_NAMES`, dt [s], and four saturation flags; the last
-entry is the latency [s]. What goes out live, thinned, has array_id 1.
+altitude (`BLOCKS`), then the index of the state in `STATE_NAMES`, dt [s], and four saturation flags; 1 and
+the position ring's x and y references [m] if there is a ring, else zeros; the last entry is the latency [s].
+What goes out live, thinned, has array_id 1.
 Values are float32 on the wire; `time_usec` is exact. Reading them from a file: `tlog.read_signals`.
 """
 
@@ -42,6 +43,7 @@ STATE_NAMES = ("waiting", "ready", "engaging", "engaged", "releasing", "failsafe
 _STATE = CHANNELS * len(BLOCKS)
 _DT = _STATE + 1
 _SATURATED = _DT + 1
+_PLACE = _SATURATED + CHANNELS
 _SIZE = 58
 _LATENCY = _SIZE - 1
 
@@ -53,7 +55,7 @@ class SignalTable:
     `time_us` (n,) int64; each block (n, 4): angles [rad], altitude [m], their rates [1/s], `disturbance`
     in the second derivative of the channel, `omega_c` [rad/s], `command` and `applied` in the unit of the
     channel's command; `state` (n,) index into `STATE_NAMES`; `dt` (n,) [s]; `latency_s` (n,) [s], NaN while
-    it is not known; `saturated` (n, 4).
+    it is not known; `saturated` (n, 4); `position_reference` (n, 2) [m], NaN without a position ring.
     """
 
     time_us: NDArray[np.int64]
@@ -70,6 +72,7 @@ class SignalTable:
     dt: NDArray[np.float64]
     saturated: NDArray[np.bool_]
     latency_s: NDArray[np.float64]
+    position_reference: NDArray[np.float64]
 
     @property
     def time_s(self) -> NDArray[np.float64]:
@@ -92,6 +95,8 @@ def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Any:
     if signals.state not in STATE_NAMES:
         raise ValueError(f"signals.state {signals.state!r} is none of {', '.join(STATE_NAMES)}")
     data += [STATE_NAMES.index(signals.state), signals.dt, *map(float, signals.saturated)]
+    if signals.position_reference is not None:
+        data += [1.0, *signals.position_reference]
     data += [0.0] * (_LATENCY - len(data)) + [signals.latency_s]
     with np.errstate(over="ignore"):  # what float32 cannot hold is logged as infinite
         packable = np.asarray(data, dtype=np.float32).tolist()
@@ -121,6 +126,7 @@ def from_message(message: Any) -> Signals:
         saturated=tuple(value != 0.0 for value in data[_SATURATED : _SATURATED + CHANNELS]),
         dt=data[_DT],
         latency_s=data[_LATENCY],
+        position_reference=(data[_PLACE + 1], data[_PLACE + 2]) if data[_PLACE] != 0.0 else None,
         **blocks,
     )
 
@@ -142,5 +148,6 @@ def table(messages: Iterable[Any]) -> SignalTable:
         dt=data[:, _DT],
         latency_s=data[:, _LATENCY],
         saturated=data[:, _SATURATED : _SATURATED + CHANNELS] != 0.0,
+        position_reference=np.where(data[:, _PLACE, None] != 0.0, data[:, _PLACE + 1 : _PLACE + 3], np.nan),
         **blocks,
     )

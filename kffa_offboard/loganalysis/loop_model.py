@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, expm
+from scipy.linalg import block_diag, expm, solve_discrete_are
 
 from kffa_offboard.control import actuator, controllers, kalman, observer
 from kffa_offboard.control import tracking_differentiator as td
@@ -92,6 +92,22 @@ def _unlimited(parameters: controllers.ControllerParameters) -> controllers.Cont
     )
 
 
+def _settled(
+    damping: float, measurement_variance: float, rate_variance: float | None, intensity: float, dt: float
+) -> Array:
+    """Covariance ``(3, 3)`` at rest, after a measurement, of the extended filter of one channel."""
+    e, p, q = (float(value) for value in observer.transition(np.array(damping), dt))
+    f = np.array([[1.0, p, q], [0.0, e, p], [0.0, 0.0, 1.0]])
+    powers = np.array(
+        [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
+    )
+    variances = [measurement_variance] if rate_variance is None else [measurement_variance, rate_variance]
+    h, r = np.eye(len(variances), 3), np.diag(variances)
+    before = solve_discrete_are(f.T, h.T, intensity * powers, r)
+    gain = before @ h.T @ np.linalg.inv(h @ before @ h.T + r)
+    return np.asarray(before - gain @ h @ before)
+
+
 @dataclass(frozen=True)
 class LinearController:
     """Makes the linear form of a controller; the Kalman filter settles once for all bandwidths.
@@ -133,6 +149,25 @@ class LinearController:
         prediction = np.array(self.parameters.prediction, dtype=float)
         prediction[channel] = prediction_s
         return replace(self, parameters=replace(self.parameters, prediction=prediction))
+
+    def with_filter(self, channel: int, measurement_variance: float, intensity: float) -> LinearController:
+        """The same with another Kalman filter on one channel, at rest (algebraic Riccati equation)."""
+        before, state = self.parameters.kalman, self.settled.kalman
+        assert before is not None and before.model == "extended" and state is not None
+        variances = np.array(before.measurement_variance, dtype=float)
+        intensities = np.array(before.disturbance_intensity, dtype=float)
+        variances[channel], intensities[channel] = measurement_variance, intensity
+        filtering = replace(before, measurement_variance=variances, disturbance_intensity=intensities)
+        damping = float(np.ravel(self.parameters.model.damping)[channel])
+        rate = None if before.rate_variance is None else float(np.ravel(before.rate_variance)[channel])
+        covariance = state.covariance.copy()
+        block = slice(3 * channel, 3 * channel + 3)
+        covariance[block, block] = _settled(damping, measurement_variance, rate, intensity, self.period_s)
+        return replace(
+            self,
+            parameters=replace(self.parameters, kalman=filtering),
+            settled=replace(self.settled, kalman=kalman.KalmanState(state.mean, covariance)),
+        )
 
     def system(self, channel: int) -> LinearSystem:
         """Measured output and rate -> command, of one channel."""

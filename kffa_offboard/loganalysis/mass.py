@@ -27,12 +27,16 @@ WINDOW_S = 0.8
 LEAST_CHANGE = 0.05
 """Share of the empty mass: the least change that is called a pick-up or a drop."""
 SIGNIFICANT = 6.0
-"""Standard deviations that a change must exceed."""
+"""Standard deviations of the fit that a change must exceed."""
+UNUSUAL = 4.5
+"""Standard deviations of what the difference does in the rest of the flight that a change must exceed."""
 MOTOR_LAG_S = 0.05
 CONTACT_S = 2.0
 """So long after lift-off and before landing the ground may carry a part of the weight."""
+CLEARANCE_M = 0.3
+"""Above the height at which it stood landed; lower than that the ground may still carry it."""
 STEADY_S = 2.0
-_STEADY_CLIMB_M_S, _STEADY_TILT_RAD = 0.2, 0.1
+_STEADY_CLIMB_M_S, _STEADY_TILT_RAD = 0.2, 0.3  # leaning against the wind is hover, too
 
 
 @dataclass(frozen=True)
@@ -89,7 +93,7 @@ def track_mass(record: FlightRecord, hover_thrust: float, delay_s: float) -> Mas
     commanded = record.thrust.held(grid - delay_s)[:, 0]
     lagged, _ = lfilter([1.0 - decay], [1.0, -decay], commanded, zi=[decay * commanded[0]])
     push = GRAVITY / hover_thrust * lagged * np.cos(angles[:, 0]) * np.cos(angles[:, 1])
-    air = flying(record, grid) != 0.0
+    air = (flying(record, grid) != 0.0) & _clear_of_ground(record, grid)
     climb = record.velocity.interpolated(grid)[:, 2]
     slope, variance = _sliding_slope(np.cumsum(push) * GRID_S, climb + GRAVITY * (grid - begin), half)
     contact = 2 * round(CONTACT_S / GRID_S) + 1
@@ -98,7 +102,38 @@ def track_mass(record: FlightRecord, hover_thrust: float, delay_s: float) -> Mas
     std = np.sqrt(variance * samples)  # the grid is finer than the samples
     ratio, ratio_std = np.where(usable, slope, np.nan), np.where(usable, std, np.nan)
     mass = 1.0 / np.clip(ratio, 0.1, 10.0)
-    return MassTrack(grid, mass, ratio_std * mass**2, _changes(grid, mass, ratio_std * mass**2, half))
+    scatter = _scatter(mass, half)
+    spread = np.hypot(ratio_std * mass**2, scatter / np.sqrt(2.0))
+    return MassTrack(grid, mass, spread, _changes(grid, mass, ratio_std * mass**2, scatter, half))
+
+
+def _differences(values: Array, half: int) -> Array:
+    """The window after each moment less the window before it, NaN at the ends."""
+    reach = half // 2 + 1
+    difference = np.full(len(values), np.nan)
+    difference[reach:-reach] = values[2 * reach :] - values[: -2 * reach]
+    return difference
+
+
+def _scatter(mass: Array, half: int) -> float:
+    """Standard deviation of such differences in ordinary flight: gusts push like masses that come and go.
+
+    From the median, which the few moments of real changes do not move.
+    """
+    size = np.abs(_differences(mass, half))
+    return 1.4826 * float(np.nanmedian(size)) if np.any(np.isfinite(size)) else 0.0
+
+
+def _clear_of_ground(record: FlightRecord, grid: Array) -> Array:
+    """Higher than where it stood: autopilots say "landed" seconds after the ground has taken the weight."""
+    if not record.position or not record.landed or np.all(record.landed.values == 0.0):
+        return np.ones(len(grid), dtype=bool)
+    on_ground = record.landed.held(record.position.time_s)[:, 0] != 0.0
+    heights = record.position.values[on_ground, 2]
+    if not heights.size:
+        return np.ones(len(grid), dtype=bool)
+    lowest = float(np.median(heights)) + CLEARANCE_M
+    return np.asarray(record.position.interpolated(grid)[:, 2] > lowest)
 
 
 def _sliding_slope(x: Array, y: Array, width: int) -> tuple[Array, Array]:
@@ -124,15 +159,15 @@ def _sliding_slope(x: Array, y: Array, width: int) -> tuple[Array, Array]:
     return slope, residual / np.maximum(var_x, 1e-12) / max(size - 2, 1)
 
 
-def _changes(grid: Array, mass: Array, std: Array, half: int) -> tuple[MassChange, ...]:
+def _changes(grid: Array, mass: Array, std: Array, scatter: float, half: int) -> tuple[MassChange, ...]:
     """Peaks of the difference between the window after and the window before each moment."""
     reach = half // 2 + 1
-    difference = np.full(len(mass), np.nan)
-    difference[reach:-reach] = mass[2 * reach :] - mass[: -2 * reach]
+    difference = _differences(mass, half)
     noise = np.full(len(mass), np.nan)
     noise[reach:-reach] = np.hypot(std[2 * reach :], std[: -2 * reach])
     size = np.nan_to_num(np.abs(difference))
     size[size < SIGNIFICANT * np.nan_to_num(noise, nan=np.inf)] = 0.0
+    size[size < UNUSUAL * scatter] = 0.0
     peaks, _ = find_peaks(size, height=LEAST_CHANGE, distance=half)
     kept = []
     for peak in peaks:

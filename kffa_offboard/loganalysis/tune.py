@@ -1,5 +1,7 @@
 """Bandwidths for given margins: the quickest recovery from a load that leaves the loop its margins.
 
+The altitude channel has a search of its own (`tune_altitude`), with the Kalman filter in it. For the others:
+
 For each ratio omega_o / omega_c of `RATIOS`, and for each of three prediction horizons (the delay, and one
 and two
 actuator lags more), omega_c comes down from `OMEGA_C_MOST` until the loop of `loop_model` is stable and has
@@ -13,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kffa_offboard.config_control import ControlTable
-from kffa_offboard.control.controllers import CHANNELS, ControllerParameters
+from kffa_offboard.control.controllers import ALTITUDE, CHANNELS, ControllerParameters
 from kffa_offboard.control.design import design
 from kffa_offboard.errors import UserError
 from kffa_offboard.loganalysis.loop_model import (
@@ -28,6 +30,7 @@ from kffa_offboard.loganalysis.loop_model import (
     step_response,
 )
 from kffa_offboard.loganalysis.margins import Margins, Wanted, frequencies, margins
+from kffa_offboard.loganalysis.tune_altitude import DROP_M_S2, AltitudeSearch, Candidate
 from kffa_offboard.offboard.settings import LimitSettings
 
 RATIOS = (4.0, 6.25, 10.0, 20.0, 40.0)
@@ -35,6 +38,31 @@ OMEGA_C_LEAST, OMEGA_C_MOST, OMEGA_C_STEPS = 0.5, 12.0, 18
 OMEGA_O_MOST = 80.0
 """Beyond it the observer gains nothing that sensor noise would not take away."""
 _DISTURBED_S = 4.0
+
+
+@dataclass(frozen=True)
+class AltitudeChoice:
+    """The Kalman filter of the altitude channel as tuned, and what the altitude's loop does.
+
+    Attributes
+    ----------
+    thrust_noise : rms, of full thrust
+    pick_up_peak_m, drop_peak_m : when a load of half the vehicle's mass comes and goes
+    """
+
+    measurement_noise_m: float
+    disturbance_intensity: float
+    thrust_noise: float
+    pick_up_peak_m: float
+    drop_peak_m: float
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """Tuned channels; and for shares of the margins asked for, what altitude gains would give."""
+
+    channels: tuple[TunedChannel, ...]
+    trade_off: tuple[tuple[float, Candidate], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -58,6 +86,7 @@ class TunedChannel:
     loop: LinearSystem
     disturbance_peak: float
     disturbance_area: float
+    altitude: AltitudeChoice | None = None
 
 
 def plant_numbers(parameters: ControllerParameters, channel: int) -> PlantNumbers:
@@ -156,12 +185,49 @@ def _fastest(
 
 
 def tune(
-    control: ControlTable, channels: tuple[int, ...], period_s: float, wanted: Wanted
-) -> list[TunedChannel]:
-    """Tune the given channels of a configuration; `period_s` is that of the telemetry."""
+    control: ControlTable,
+    channels: tuple[int, ...],
+    period_s: float,
+    wanted: Wanted,
+    peak_m: float | None = None,
+    with_trade_off: bool = False,
+) -> Tuning:
+    """Tune the given channels of a configuration; `period_s` is that of the telemetry.
+
+    With `peak_m` the altitude channel gets the most margin with which a load of half the vehicle's mass
+    moves it by no more. Raises UserError where a wish cannot be had.
+    """
     parameters = parameters_of(control)
     base = LinearController.of(parameters, period_s)
-    return [tune_channel(base, plant_numbers(parameters, k), k, wanted) for k in channels]
+    tuned = [tune_channel(base, plant_numbers(parameters, k), k, wanted) for k in channels if k != ALTITUDE]
+    if ALTITUDE not in channels:
+        return Tuning(tuple(tuned))
+    if parameters.kalman is None or parameters.kalman.model != "extended":
+        raise UserError('altitude: only kalman = "extended" can be tuned')
+    search = AltitudeSearch(base, plant_numbers(parameters, ALTITUDE), control.altitude.hover_thrust)
+    found = search.quickest(wanted) if peak_m is None else search.calmest(peak_m, wanted)
+    trade_off = search.trade_off(wanted) if with_trade_off else []
+    return Tuning((*tuned, _tuned_altitude(search, found)), tuple(trade_off))
+
+
+def _tuned_altitude(search: AltitudeSearch, found: Candidate) -> TunedChannel:
+    return TunedChannel(
+        name=CHANNELS[ALTITUDE],
+        omega_c=found.omega_c,
+        omega_o=found.omega_o,
+        prediction_s=found.prediction_s,
+        margins=found.margins,
+        loop=open_loop(found.controller, search.vehicle),
+        disturbance_peak=found.drop_peak / DROP_M_S2,
+        disturbance_area=search.area(found) / DROP_M_S2,
+        altitude=AltitudeChoice(
+            found.measurement_noise,
+            found.disturbance_intensity,
+            found.thrust_noise,
+            found.pick_up_peak,
+            found.drop_peak,
+        ),
+    )
 
 
 def allowed_bandwidths(dead_time_s: float, lag_s: float, period_s: float, wanted: Wanted) -> TunedChannel:

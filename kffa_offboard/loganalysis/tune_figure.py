@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from kffa_offboard.loganalysis.loop_model import LinearSystem
 from kffa_offboard.loganalysis.margins import Wanted, frequencies
-from kffa_offboard.loganalysis.tune import TunedChannel
+from kffa_offboard.loganalysis.tune import TunedChannel, Tuning
 
 
 def as_control(system: LinearSystem) -> control.StateSpace:
@@ -34,6 +34,30 @@ def draw(path: Path, tuned: list[TunedChannel], wanted: Wanted) -> None:
         loop = np.asarray(response.complex).reshape(-1)
         _bode(axes[0, column], axes[1, column], channel, omega, loop)
         _nyquist(axes[2, column], loop, wanted)
+    figure.savefig(path, dpi=110)
+    plt.close(figure)
+
+
+def draw_trade_off(path: Path, tuning: Tuning) -> None:
+    """What margins cost: each of them over the peak when half the vehicle's mass comes or goes."""
+    found = [candidate for _, candidate in tuning.trade_off]
+    peaks = [candidate.peak for candidate in found]
+    chosen = tuning.channels[-1]
+    assert chosen.altitude is not None
+    peak = max(chosen.altitude.pick_up_peak_m, chosen.altitude.drop_peak_m)
+    rows = (
+        ("gain margin, dB", [one.margins.gain_db for one in found], chosen.margins.gain_db),
+        ("phase margin, deg", [one.margins.phase_deg for one in found], chosen.margins.phase_deg),
+        ("delay margin, ms", [1e3 * one.margins.delay_s for one in found], 1e3 * chosen.margins.delay_s),
+    )
+    figure, axes = plt.subplots(3, 1, figsize=(6.0, 7.0), sharex=True, constrained_layout=True)
+    for axis, (label, values, own) in zip(axes, rows, strict=True):
+        axis.plot(peaks, values, marker="o", ms=4)
+        axis.plot(peak, own, "r", marker="D", ms=7, ls="", label="chosen")
+        axis.set_ylabel(label)
+        axis.grid(alpha=0.3)
+    axes[0].legend()
+    axes[2].set_xlabel("peak when half the vehicle's mass is picked up or dropped, m")
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

@@ -327,6 +327,7 @@ class Signals:
     Each tuple is in channel order roll, pitch, yaw, altitude. `time_us` is the event's
     arrival time; `command` is what was sent (or, in shadow, what would have been). `latency_s` is the
     time from taking the sample until the autopilot has the command; NaN while clocks are not compared.
+    `position_reference` is where the position ring wants to be, x and y [m], None without one.
     """
 
     time_us: int
@@ -343,6 +344,7 @@ class Signals:
     saturated: tuple[bool, ...] = field(default=(False, False, False, False))
     dt: float = 0.0
     latency_s: float = nan
+    position_reference: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -115,6 +115,13 @@ def _stop(settings: PositionSettings, ring: controllers.ControllerState) -> Offs
     return x + time * vx, y + time * vy
 
 
+def position_reference(state: HorizontalState | None, directive: Directive) -> tuple[float, float] | None:
+    """Where the ring is told to be, m; None without one."""
+    if state is None:
+        return None
+    return state.captured[0] + directive.offset[0], state.captured[1] + directive.offset[1]
+
+
 def astray(settings: PositionSettings | None, state: HorizontalState | None) -> str | None:
     """Say so if the vehicle is too far from its set point (a compass or an estimate is wrong)."""
     if settings is None or state is None or state.error <= settings.error_max_m:

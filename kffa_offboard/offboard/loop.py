@@ -17,7 +17,12 @@ from kffa_offboard.control.rotation import body_rates_to_euler_rates, euler_rate
 from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
 from kffa_offboard.offboard.flight import Directive
 from kffa_offboard.offboard.guard import check_target, tilt_factor
-from kffa_offboard.offboard.horizontal import HorizontalState, begin_horizontal, step_horizontal
+from kffa_offboard.offboard.horizontal import (
+    HorizontalState,
+    begin_horizontal,
+    position_reference,
+    step_horizontal,
+)
 from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry, reported_target, reported_thrust
@@ -166,6 +171,16 @@ def autopilot_command(settings: ServiceSettings, known: Telemetry, time_us: int,
     return command_of(settings, attitude, AttitudeTarget(thrust, attitude=wanted or attitude), near)
 
 
+def _as_measured(settings: ServiceSettings, known: Telemetry, near: Array) -> Array:
+    """The command that asks for what the vehicle does anyway ``(4,)``, hovering."""
+    assert known.attitude is not None
+    rates, attitude = known.attitude.body_rates, known.attitude.attitude
+    target = AttitudeTarget(settings.hover_thrust, body_rates=rates)
+    if settings.output == "attitude":
+        target = AttitudeTarget(settings.hover_thrust, attitude=attitude)
+    return command_of(settings, attitude, target, near)
+
+
 def command_of(settings: ServiceSettings, attitude: Vector3, target: AttitudeTarget, near: Array) -> Array:
     """A setpoint in the controller's channels ``(4,)``; angles in the turn of `near` ``(4,)``."""
     vertical = target.thrust * tilt_factor(settings.limits, attitude)
@@ -203,10 +218,13 @@ def step_loop(
     dt: float,
     *,
     latency_s: float = nan,
+    flown: Array | None = None,
 ) -> tuple[LoopState, LoopStep]:
     """One control step for the attitude sample that has just been accepted, `dt` s after the last one.
 
-    `latency_s` is for the log.
+    `latency_s` is for the log. `flown` ``(4,)`` is the command that really acted, where that is not the one
+    made here: a recorded flight replayed with other gains. The observer is told of it, because the samples
+    answer to it; NaN where it is not known in this output, which takes what is measured.
     """
     assert known.attitude is not None and known.position is not None
     parameters, controller = settings.controller, loop.controller
@@ -215,7 +233,13 @@ def step_loop(
     measured, times = _measurement(known), (dt, latency_s)
     fresh = np.array([True, True, True, known.position.sample_time_us != loop.position_us])
     horizontal, reference = step_horizontal(
-        settings.position, loop.horizontal, known, order.directive, order.controls, bool(fresh[3]), dt
+        settings.position,
+        loop.horizontal,
+        known,
+        order.directive,
+        order.controls and flown is None,
+        bool(fresh[3]),
+        dt,
     )
     inputs = controllers.ControllerInput(np.array(reference), measured, fresh, _measured_rate(known))
     controller, output = controllers.step(parameters, controller, inputs, dt)
@@ -227,32 +251,40 @@ def step_loop(
         hold_altitude=stop,
         horizontal=horizontal,
     )
+    place = position_reference(horizontal, order.directive)
     near = output.estimate
+    if flown is not None and not np.all(np.isfinite(flown)):
+        flown = np.where(np.isfinite(flown), flown, _as_measured(settings, known, near))
     own = np.zeros(4) if order.controls else autopilot_command(settings, known, time_us, near)
     if not order.sending:
+        own = own if flown is None else flown
         controller = controllers.with_applied(parameters, controller, own)
         loop = replace(loop, controller=controller, vertical_thrust=float(own[3]))
-        return loop, LoopStep(None, _signals(time_us, order, times, measured, output, output.command, own))
+        return loop, LoopStep(
+            None, _signals(time_us, order, times, place, measured, output, output.command, own)
+        )
     loop, wanted, target = _wish(settings, loop, known, order, time_us, output.command, float(own[3]), near)
     since = max(dt, (time_us - loop.sent_us) * 1e-6)
     checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
     if checked.target is None:
-        signals = _signals(time_us, order, times, measured, output, wanted, wanted)
+        signals = _signals(time_us, order, times, place, measured, output, wanted, wanted)
         return replace(loop, controller=controller), LoopStep(None, signals, checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
-    applied = sent if order.acting else own
+    applied = flown if flown is not None else sent if order.acting else own
     controller = controllers.with_applied(parameters, controller, applied)
     loop = replace(
         loop,
         controller=controller,
-        vertical_thrust=float(sent[3]),
+        vertical_thrust=float(sent[3] if flown is None else flown[3]),
         mean_thrust=_averaged(loop, checked.target.thrust, since),
         sent=checked.target,
         sent_us=time_us,
     )
     if sent is not wanted:
         output = replace(output, saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
-    return loop, LoopStep(checked.target, _signals(time_us, order, times, measured, output, sent, applied))
+    return loop, LoopStep(
+        checked.target, _signals(time_us, order, times, place, measured, output, sent, applied)
+    )
 
 
 def _averaged(loop: LoopState, thrust: float, dt: float) -> float:
@@ -291,6 +323,7 @@ def _signals(
     time_us: int,
     order: Order,
     times: tuple[float, float],
+    place: tuple[float, float] | None,
     measured: Array,
     output: controllers.ControllerOutput,
     command: Array,
@@ -311,4 +344,5 @@ def _signals(
         saturated=tuple(output.saturated.tolist()),
         dt=times[0],
         latency_s=times[1],
+        position_reference=place,
     )

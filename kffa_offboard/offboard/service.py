@@ -17,9 +17,10 @@ Rules, each kept in one place:
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
+from kffa_offboard.control import Array
 from kffa_offboard.offboard import admission, events, telemetry, trust
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
@@ -47,10 +48,14 @@ class Service(RequestSession):
 
     Give it every event with its arrival time (microseconds of any clock that does not go back), call
     `advance` at `next_deadline`, and send what they return in that order.
+
+    `flown` has the commands that really acted, by the times of the control steps, for a recorded flight with
+    other settings than it was flown with (see `loop.step_loop`).
     """
 
-    def __init__(self, settings: ServiceSettings) -> None:
+    def __init__(self, settings: ServiceSettings, *, flown: Mapping[int, Array] | None = None) -> None:
         super().__init__(settings)
+        self._flown: Mapping[int, Array] = {} if flown is None else flown
         self._earliest: Deadline | None = None
 
     def handle(self, time_us: int, event: Event) -> list[Output]:
@@ -322,7 +327,14 @@ class Service(RequestSession):
         order = self._order(time_us)
         latency_s = telemetry.latency_s(self._known, self._link, time_us)
         self._loop, result = step_loop(
-            self.settings, self._loop, self._known, order, time_us, dt, latency_s=latency_s
+            self.settings,
+            self._loop,
+            self._known,
+            order,
+            time_us,
+            dt,
+            latency_s=latency_s,
+            flown=self._flown.get(time_us),
         )
         if order.sending and result.target is not None:
             self._emit(result.target)

@@ -17,7 +17,7 @@ from kffa_offboard.config import DaemonConfig, load
 from kffa_offboard.config_log import LIBRARIES, config_of, overrides_of
 from kffa_offboard.flightlog.notes import Header
 from kffa_offboard.replay.compare import Comparison, WhatIf, compare, what_if
-from kffa_offboard.replay.engine import replay
+from kffa_offboard.replay.engine import replay, replay_what_if
 from kffa_offboard.replay.recording import Recording, read_recording
 
 DIFFERS = 1
@@ -38,15 +38,14 @@ def run_replay(plan: ReplayPlan) -> int:
     Raises UserError for a log that cannot be replayed or a configuration that cannot be flown.
     """
     recording = read_recording(plan.log)
-    if plan.config is None:
-        config = config_of(recording.header, plan.log)
-    else:
-        config = load(plan.config, overrides_of(recording.header))
-    started = time.perf_counter()
-    replayed = replay(recording, config)
-    elapsed_s = time.perf_counter() - started
+    flown = config_of(recording.header, plan.log)
     if plan.config is not None:
+        config = load(plan.config, overrides_of(recording.header))
+        replayed = replay_what_if(recording, flown, config)
         return _tell_what_if(plan, recording, config, what_if(recording, replayed))
+    started = time.perf_counter()
+    replayed = replay(recording, flown)
+    elapsed_s = time.perf_counter() - started
     return _tell_comparison(plan, recording, compare(recording, replayed), elapsed_s)
 
 

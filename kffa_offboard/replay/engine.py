@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.config import DaemonConfig
 from kffa_offboard.config_log import make_companion, recorded_keeper
+from kffa_offboard.control import Array
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.mavlink.commands import is_timesync_request
 from kffa_offboard.mavlink.component import Route
@@ -22,10 +24,14 @@ from kffa_offboard.replay.recording import Frame, Recording, is_report, is_reque
 
 @dataclass
 class Replayed:
-    """What the session did: frames that it sent and frames of its inner signals, with their times [us]."""
+    """What the session did: frames that it sent and frames of its inner signals, with their times [us].
+
+    `applied` ``(4,)`` is what the observer was told at each control step, by its time, unrounded.
+    """
 
     sent: list[Frame] = field(default_factory=list)
     signals: list[Frame] = field(default_factory=list)
+    applied: dict[int, Array] = field(default_factory=dict)
 
 
 class _NoLink:
@@ -69,6 +75,7 @@ class _Collector:
         frame = bytes(to_message(signals).pack(self._packer))
         self._packer.seq = (self._packer.seq + 1) % 256
         self.replayed.signals.append((signals.time_us, frame))
+        self.replayed.applied[signals.time_us] = np.array(signals.applied)
 
     def write_begin(self, time_us: int) -> None:
         pass
@@ -83,14 +90,31 @@ class _Collector:
         pass
 
 
-def replay(recording: Recording, config: DaemonConfig) -> Replayed:
-    """Drive the session of `config` through everything that came in, at the times when it came."""
+def replay_what_if(recording: Recording, flown: DaemonConfig, config: DaemonConfig) -> Replayed:
+    """Drive the session of `config` through a flight that was flown with the configuration `flown`.
+
+    The observer is told what the vehicle got then, not what `config` would have asked for: the samples answer
+    to that. If the two command different things (rates, attitude), roll, pitch and yaw are taken to have been
+    commanded to do what they did.
+    """
+    applied = replay(recording, flown).applied
+    if config.service.output != flown.service.output:
+        unknown = np.array([np.nan, np.nan, np.nan, 0.0])
+        applied = {time_us: command + unknown for time_us, command in applied.items()}
+    return replay(recording, config, applied)
+
+
+def replay(recording: Recording, config: DaemonConfig, flown: Mapping[int, Array] | None = None) -> Replayed:
+    """Drive the session of `config` through everything that came in, at the times when it came.
+
+    `flown` are the commands that acted, by the times of the control steps, if they are not the session's own.
+    """
     ids = config.link
     route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
     collector = _Collector(route)
     lockstep = recording.header.lockstep
     session = Session(
-        Service(config.service),
+        Service(config.service, flown=flown),
         _NoLink(),
         route,
         recorder=collector,

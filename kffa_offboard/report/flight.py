@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-Channel = Literal["roll", "pitch", "yaw", "altitude"]
+Channel = Literal["roll", "pitch", "yaw", "altitude", "north", "east"]
 Quantity = Literal["reference", "measured", "estimate", "command", "disturbance", "omega_c"]
 EventKind = Literal["state", "mode", "armed", "load", "text"]
 CommandKind = Literal["rates", "attitude"]

@@ -69,6 +69,9 @@ def _recorded(record: FlightRecord) -> _Lines:
                 lines[quantity, channel] = _line(samples, column, record.start_s)
     if record.position:
         lines["measured", "altitude"] = _line(record.position, 2, record.start_s)
+        lines["measured", "north"] = _line(record.position, 0, record.start_s)
+        west = _line(record.position, 1, record.start_s)
+        lines["measured", "east"] = Line(west.time_s, -west.values)
     if record.thrust:
         lines["command", "altitude"] = _line(record.thrust, 0, record.start_s)
     return lines

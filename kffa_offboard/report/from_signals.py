@@ -17,11 +17,15 @@ def signal_lines(table: SignalTable, begin_us: int) -> dict[tuple[Quantity, Chan
     if not len(table.time_us):
         return {}
     time_s = (table.time_us - begin_us) / 1e6
-    return {
+    lines: dict[tuple[Quantity, Channel], Line] = {
         (quantity, channel): Line(time_s, getattr(table, block)[:, column])
         for quantity, block in _BLOCKS.items()
         for column, channel in enumerate(CHANNELS)
     }
+    if np.any(np.isfinite(table.position_reference)):
+        lines["reference", "north"] = Line(time_s, table.position_reference[:, 0])
+        lines["reference", "east"] = Line(time_s, -table.position_reference[:, 1])
+    return lines
 
 
 def state_events(

@@ -7,8 +7,40 @@
   const narrow = matchMedia("(max-width: 600px)").matches;
   const hidden = { flight: new Set(), signal: new Set() };
   const plots = report.panels.map((panel) => document.getElementById(`plot-${panel.key}`));
+  const strokes = report.panels.map((panel) => panel.data.filter((trace) => trace.yaxis !== "y2").map((trace) => {
+    trace.x = numbers(trace.x);
+    trace.y = numbers(trace.y);
+    return trace;
+  }));
   let range = report.range.slice();
   let linking = false;
+
+  // Plotly's packed arrays (32-bit floats in base64) as numbers.
+  function numbers(packed) {
+    if (!packed || packed.bdata === undefined) return packed;
+    const bytes = Uint8Array.from(atob(packed.bdata), (letter) => letter.charCodeAt(0));
+    return packed.dtype === "f8" ? new Float64Array(bytes.buffer) : new Float32Array(bytes.buffer);
+  }
+
+  const isHidden = (trace) => hidden.flight.has(String(trace.meta.flight)) || hidden.signal.has(trace.meta.signal);
+
+  // What the visible lines of a panel reach within the time that is shown, with a little room; null if nothing.
+  function reach(number) {
+    if (report.panels[number].key === "events") return null;
+    let low = Infinity, high = -Infinity;
+    for (const trace of strokes[number]) {
+      if (isHidden(trace)) continue;
+      for (let k = 0; k < trace.x.length; k += 1) {
+        const value = trace.y[k];
+        if (trace.x[k] < range[0] || trace.x[k] > range[1] || !Number.isFinite(value)) continue;
+        if (value < low) low = value;
+        if (value > high) high = value;
+      }
+    }
+    if (!(high >= low)) return null;
+    const room = high > low ? 0.06 * (high - low) : Math.max(0.05 * Math.abs(high), 1e-3);
+    return [low - room, high + room];
+  }
 
   const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
   const theme = () => ({
@@ -22,7 +54,7 @@
     const layout = panel.layout;
     const axis = { gridcolor: ink["xaxis.gridcolor"], zeroline: false, automargin: false };
     Object.assign(layout, {
-      margin: { l: 62, r: 10, t: 8, b: 42 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
+      margin: { l: 62, r: 10, t: touch || narrow ? 8 : 26, b: 42 }, paper_bgcolor: "rgba(0,0,0,0)", plot_bgcolor: "rgba(0,0,0,0)",
       font: { family: "system-ui, sans-serif", size: 12, color: ink["font.color"] }, dragmode: touch ? false : "zoom",
       modebar: { bgcolor: "rgba(0,0,0,0)", color: colour("--faint"), activecolor: ink["font.color"] },
       hoverlabel: { bgcolor: ink["hoverlabel.bgcolor"], bordercolor: ink["hoverlabel.bordercolor"],
@@ -31,6 +63,8 @@
         title: { text: report.timeTitle, standoff: 4 } },
       yaxis: { ...layout.yaxis, ...axis },
     });
+    const values = reach(report.panels.indexOf(panel));
+    if (values) layout.yaxis.range = values;
     if (touch) layout.yaxis.fixedrange = true;
     return layout;
   }
@@ -39,14 +73,16 @@
     document.getElementById("span").textContent = `${range[0].toFixed(1)} to ${range[1].toFixed(1)} s`;
   }
 
-  async function show(wanted, except) {
+  // `keeps`: the plot in which a person has just chosen a range of values.
+  async function show(wanted, keeps) {
     if (linking || !(wanted[1] > wanted[0])) return;
     linking = true;
     range = wanted.map(Number);
     say();
     try {
-      for (const plot of plots) {
-        if (plot !== except) await Plotly.relayout(plot, { "xaxis.range": range.slice() });
+      for (const [number, plot] of plots.entries()) {
+        const values = plot === keeps ? null : reach(number);
+        await Plotly.relayout(plot, { "xaxis.range": range.slice(), ...(values && { "yaxis.range": values }) });
       }
     } finally {
       linking = false;
@@ -55,15 +91,17 @@
 
   function follow(plot, change) {
     if (linking || !Object.keys(change).some((key) => key.startsWith("xaxis"))) return;
-    show(change["xaxis.autorange"] ? report.range : plot.layout.xaxis.range, change["xaxis.autorange"] ? null : plot);
+    const all = change["xaxis.autorange"];
+    const chosen = !all && Object.keys(change).some((key) => key.startsWith("yaxis.range"));
+    show(all ? report.range : plot.layout.xaxis.range, chosen ? plot : null);
   }
 
   async function toggle() {
     for (const plot of plots) {
-      const seen = plot.data.map((trace) => !hidden.flight.has(String(trace.meta.flight))
-        && !hidden.signal.has(trace.meta.signal));
+      const seen = plot.data.map((trace) => !isHidden(trace));
       if (seen.length) await Plotly.restyle(plot, { visible: seen }, seen.map((_, number) => number));
     }
+    await show(range);
   }
 
   for (const kind of ["flight", "signal"]) {

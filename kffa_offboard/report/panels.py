@@ -54,6 +54,10 @@ class _Kind:
 _DEGREES = float(np.degrees(1.0))
 _TRACKED: tuple[Quantity, ...] = ("measured", "estimate", "reference")
 _OMEGA_C = _Kind("omega_c", ("omega_c",), "Bandwidth ω_c", "rad/s")
+_POSITION: dict[Channel, _Kind] = {
+    "north": _Kind("tracking", ("measured", "reference"), "North", "m"),
+    "east": _Kind("tracking", ("measured", "reference"), "East", "m"),
+}
 _ALTITUDE = (
     _Kind("tracking", _TRACKED, "Altitude", "m"),
     _Kind("command", ("command",), "Vertical thrust commanded", "of full thrust"),
@@ -72,6 +76,7 @@ def panels(flights: Sequence[Flight], zeros_s: Sequence[float]) -> list[Panel]:
         for channel in ("altitude", "roll", "pitch", "yaw")
         for kind in (_ALTITUDE if channel == "altitude" else _angle_kinds(channel))
     ]
+    found += [_panel(flights, zeros_s, channel, kind) for channel, kind in _POSITION.items()]
     found += [_load(flights, zeros_s), _latency(flights, zeros_s)]
     found += [
         _arrivals(flights, zeros_s, name) for name in dict.fromkeys(n for f in flights for n in f.arrivals)
@@ -91,7 +96,7 @@ def _angle_kinds(channel: Channel) -> tuple[_Kind, ...]:
 
 
 def _panel(flights: Sequence[Flight], zeros_s: Sequence[float], channel: Channel, kind: _Kind) -> Panel:
-    section = channel.capitalize()
+    section = "Position" if channel in _POSITION else channel.capitalize()
     title = f"{kind.title}, {channel}" if kind is _OMEGA_C else kind.title
     curves = tuple(_curves(flights, zeros_s, channel, kind))
     return Panel(f"{channel}-{kind.key}", section, title, kind.unit, curves)

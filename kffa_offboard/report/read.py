@@ -70,7 +70,7 @@ class _Collector:
     full: list[Any] = field(default_factory=list)
     live: list[Any] = field(default_factory=list)
     attitude: _Column = field(default_factory=_Column)
-    height: _Column = field(default_factory=_Column)
+    position: _Column = field(default_factory=_Column)
     load: _Column = field(default_factory=_Column)
     load_std: _Column = field(default_factory=_Column)
     events: list[tuple[int, FlightEvent]] = field(default_factory=list)
@@ -136,7 +136,7 @@ class _Collector:
                 case AttitudeReceived():
                     self.attitude.add(time_us, event.attitude)
                 case PositionReceived():
-                    self.height.add(time_us, (event.position[2],))
+                    self.position.add(time_us, event.position)
                 case StatusReceived():
                     self._note(time_us, FlightEvent(0.0, "text", event.text))
                 case HeartbeatReceived():
@@ -245,8 +245,9 @@ def _flight(collector: _Collector, path: Path, name: str) -> Flight:
     begin_us, header = collector.first_us or 0, collector.header
     table = signals.table(collector.full or collector.live)
     lines = signal_lines(table, begin_us)
-    if not collector.full:  # what was sent live is thinned; telemetry is whole
-        lines |= dict(_measured(collector, begin_us))
+    measured = dict(_measured(collector, begin_us))
+    # What was sent live is thinned; telemetry is whole.
+    lines = lines | measured if not collector.full else measured | lines
     states, engaged = state_events(table, begin_us)
     others = [_at(event, time_us, begin_us) for time_us, event in collector.events]
     latency = _clean(line(_since(table.time_us, begin_us), table.latency_s))
@@ -262,7 +263,7 @@ def _flight(collector: _Collector, path: Path, name: str) -> Flight:
         latency=latency,
         arrivals={
             "attitude": _since(np.array(collector.attitude.time_us), begin_us),
-            "position": _since(np.array(collector.height.time_us), begin_us),
+            "position": _since(np.array(collector.position.time_us), begin_us),
         },
         events=tuple(sorted((*states, *others), key=lambda event: event.time_s)),
         frames_dropped=None if collector.end is None else collector.end.frames_dropped,
@@ -296,14 +297,17 @@ def _origin(header: Header | None, path: Path, begin_us: int) -> Origin:
 
 
 def _measured(collector: _Collector, begin_us: int) -> Iterator[tuple[Any, Line]]:
-    attitude, height = collector.attitude, collector.height
+    attitude, position = collector.attitude, collector.position
     columns = np.array(attitude.rows, dtype=float).reshape(-1, 3).T
     for channel, values in zip(("roll", "pitch", "yaw"), columns, strict=True):
         if len(values):
             yield ("measured", channel), line(_since(np.array(attitude.time_us), begin_us), values)
-    if height.rows:
-        values = np.array(height.rows, dtype=float)[:, 0]
-        yield ("measured", "altitude"), line(_since(np.array(height.time_us), begin_us), values)
+    if not position.rows:
+        return
+    time_s = _since(np.array(position.time_us), begin_us)
+    x, y, z = np.array(position.rows, dtype=float).T
+    for channel, values in (("altitude", z), ("north", x), ("east", -y)):
+        yield ("measured", channel), line(time_s, values)
 
 
 def _at(event: FlightEvent, time_us: int, begin_us: int) -> FlightEvent:

@@ -60,6 +60,30 @@ def test_a_hover_without_load_tells_of_none() -> None:
     assert np.nanmax(np.abs(track.mass_ratio - 1.0)) < 0.05
 
 
+def in_gusts(record: FlightRecord, std_m_s2: float) -> FlightRecord:
+    """The same height held against gusts that push for about 1 s."""
+    random, dt = np.random.default_rng(3), record.thrust.time_s[1] - record.thrust.time_s[0]
+    push, pushes = 0.0, []
+    for kick in random.standard_normal(len(record.thrust)):
+        push += dt * -push / 1.0 + std_m_s2 * (2.0 * dt) ** 0.5 * kick
+        pushes.append(push)
+    thrust = record.thrust.values * (1.0 - np.array(pushes)[:, None] / 9.80665)
+    return replace(record, thrust=Series(record.thrust.time_s, thrust))
+
+
+def test_strong_gusts_are_no_loads_and_widen_the_spread_of_the_mass() -> None:
+    track = track_mass(in_gusts(hover_with_load(0.5), 0.35), HOVER, 0.0)
+    assert track is not None
+    pickup, drop = track.changes
+    assert pickup.share == pytest.approx(0.5, abs=0.12)
+    assert drop.share == pytest.approx(-0.5, abs=0.12)
+    truth = np.where((track.time_s >= PICKUP_S) & (track.time_s < DROP_S), 1.5, 1.0)
+    near = np.minimum(np.abs(track.time_s - PICKUP_S), np.abs(track.time_s - DROP_S)) < 0.8
+    rest = np.isfinite(track.mass_ratio) & ~near
+    within = np.abs(track.mass_ratio - truth)[rest] < 2.0 * track.std[rest]
+    assert np.mean(within) > 0.85
+
+
 def test_the_model_comes_from_the_first_steady_hover_and_the_disturbance_is_gravity() -> None:
     found = shadow(hover_with_load(0.0), None)
     assert found.model.hover_thrust == pytest.approx(HOVER, rel=1e-3)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import control as oracle
@@ -15,6 +16,7 @@ from kffa_offboard.errors import UserError
 from kffa_offboard.loganalysis.link_quality import DEAD_TIME_SHIFT_S, OMEGA_C_SCALE
 from kffa_offboard.loganalysis.loop_model import (
     LinearController,
+    LinearSystem,
     PlantNumbers,
     closed_loop,
     frequency_response,
@@ -24,6 +26,7 @@ from kffa_offboard.loganalysis.loop_model import (
 )
 from kffa_offboard.loganalysis.margins import Wanted, frequencies, margins
 from kffa_offboard.loganalysis.tune import allowed_bandwidths, parameters_of, tune
+from kffa_offboard.loganalysis.tune_altitude import AltitudeSearch, Candidate
 from kffa_offboard.loganalysis.tune_command import control_of, run_tune
 
 PERIOD_S = 0.01
@@ -92,7 +95,7 @@ def test_tuned_channels_have_the_margins_and_no_others_are_touched(
     control, channels = control_of(model, "model.toml")
     assert channels == (0, 3)
     wanted = Wanted(6.0, 30.0, 0.02)
-    for tuned in tune(control, channels, PERIOD_S, wanted):
+    for tuned in tune(control, channels, PERIOD_S, wanted).channels:
         assert tuned.margins.gain_db >= 6.0
         assert tuned.margins.phase_deg >= 30.0
         assert tuned.margins.delay_s >= 0.02
@@ -117,6 +120,78 @@ def test_the_rule_of_the_link_verdict_stays_inside_what_the_loop_allows(
 def test_margins_that_nothing_has_are_refused_with_the_remedy() -> None:
     with pytest.raises(UserError, match="smaller margins"):
         allowed_bandwidths(0.4, 0.05, 0.02, Wanted(12.0, 70.0, 0.2))
+
+
+def test_the_filter_of_a_candidate_is_at_rest_where_the_filter_that_flies_comes_to_rest() -> None:
+    table = {
+        **CONTROL.altitude.model_dump(exclude_unset=True),
+        "measurement_noise_m": 0.05,
+        "disturbance_intensity": 700.0,
+    }
+    other = LinearController.of(parameters_of(ControlTable.model_validate({"altitude": table})), PERIOD_S)
+    moved = LinearController.of(parameters_of(CONTROL), PERIOD_S).with_filter(3, 0.05**2, 700.0)
+    assert moved.settled.kalman is not None and other.settled.kalman is not None
+    assert np.allclose(moved.settled.kalman.covariance, other.settled.kalman.covariance, rtol=1e-2)
+
+
+@pytest.fixture(scope="module")
+def search() -> AltitudeSearch:
+    """Of the demonstration's vehicle and link, with its sensors' noise."""
+    noise = {"measurement_noise_m": 0.01, "climb_rate_noise_m_s": 0.02}
+    table = ControlTable.model_validate(
+        {"altitude": {**CONTROL.altitude.model_dump(exclude_unset=True), **noise}}
+    )
+    return AltitudeSearch(LinearController.of(parameters_of(table), PERIOD_S), ALTITUDE, 0.3986)
+
+
+@pytest.fixture(scope="module")
+def calm(search: AltitudeSearch) -> Candidate:
+    return search.calmest(0.08, Wanted())
+
+
+def test_a_peak_of_8_cm_leaves_more_than_4_decibels_27_degrees_and_35_ms(calm: Candidate) -> None:
+    assert calm.peak <= 0.08
+    assert calm.margins.meet(Wanted(4.7, 27.0, 0.035))
+    assert calm.thrust_noise <= 0.1 * 0.3986
+
+
+def test_all_default_margins_cost_a_peak_of_more_than_12_cm(search: AltitudeSearch) -> None:
+    found = search.quickest(Wanted())
+    assert found.margins.meet(Wanted())
+    assert 0.12 < found.peak < 0.2
+
+
+@pytest.mark.parametrize(("change_db", "stays"), [(-0.5, True), (0.5, False)])
+def test_the_controller_itself_oscillates_where_gain_and_delay_margin_say(
+    calm: Candidate, change_db: float, stays: bool
+) -> None:
+    """Its own steps, with a vehicle whose thrust is stronger by the margin, then with one that is later."""
+    margins = calm.margins
+    stronger = replace(ALTITUDE, b0=ALTITUDE.b0 * 10.0 ** ((margins.gain_db + change_db) / 20.0))
+    later = replace(ALTITUDE, delay_s=ALTITUDE.delay_s + margins.delay_s + 0.002 * np.sign(change_db))
+    for vehicle in (stronger, later):
+        first, last = swings(calm, plant(vehicle, PERIOD_S))
+        assert bool(last < first) == stays
+
+
+def swings(found: Candidate, vehicle: LinearSystem) -> tuple[float, float]:
+    """Largest output in two later stretches of a flight with `controllers.step` after a kick."""
+    base = (
+        LinearController.of(parameters_of(CONTROL), PERIOD_S)
+        .with_filter(3, found.measurement_noise**2, found.disturbance_intensity)
+        .with_prediction(3, found.prediction_s)
+        .with_bandwidths(np.full(4, found.omega_c), np.full(4, found.omega_o))
+    )
+    state, x, flown = base.settled, np.zeros(len(vehicle.a)), []
+    x[1] = 0.1
+    for _ in range(600):
+        y = vehicle.c @ x
+        measured, rate = np.array([0.0, 0.0, 0.0, y[0]]), np.array([0.0, 0.0, 0.0, y[1]])
+        inputs = controllers.ControllerInput(np.zeros(4), measured, np.ones(4, dtype=bool), rate)
+        state, output = controllers.step(base.parameters, state, inputs, PERIOD_S)
+        x = vehicle.a @ x + vehicle.b @ np.array([output.command[3], 0.0])
+        flown.append(abs(y[0]))
+    return max(flown[200:300]), max(flown[500:])
 
 
 def test_tune_writes_tables_that_load_and_a_picture(

@@ -69,7 +69,7 @@ def heartbeat(armed):
 
 def inner_signals(time_us, step):
     state = "ready" if step < 100 else "engaging" if step < 200 else "engaged"
-    reference = (0.3, -0.2, math.pi - 0.05, 5.0)
+    reference = (0.3, -0.2, math.pi - 0.05, 5.0 if step >= 100 else 4.0)
     measured = (0.2, -0.3, -math.pi + 0.05 - 0.2, 4.9)
     disturbance = (0.0, 0.0, 0.0, math.nan if step < 50 else -9.8)
     return Signals(

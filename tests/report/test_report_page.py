@@ -33,6 +33,9 @@ HOOK = """
     await Plotly.relayout(plots[2], { "xaxis.range[0]": 2.5, "xaxis.range[1]": 4.5 });
     await wait(() => plots.every(near([2.5, 4.5])));
     found.linked = plots.filter(near([2.5, 4.5])).length;
+    const altitude = document.getElementById("plot-altitude-tracking");
+    const span = () => altitude.layout.yaxis.range.map((value) => Number(value.toFixed(3)));
+    found.zoomed_values = span();
     document.querySelector("button[data-time=in]").click();
     await wait(() => plots.every(near([3, 4])));
     found.zoomed = plots.filter(near([3, 4])).length;
@@ -40,6 +43,10 @@ HOOK = """
     const shown = () => plots.flatMap((plot) => plot.data).filter((trace) => trace.visible !== false);
     await wait(() => shown().every((trace) => trace.meta.flight !== 1));
     found.after = shown().length > 0;
+    document.querySelector("input[data-flight='1']").click();
+    document.querySelector("button[data-time=all]").click();
+    await wait(() => altitude.layout.xaxis.range[1] > 6);
+    found.all_values = span();
     found.width = document.documentElement.scrollWidth - document.documentElement.clientWidth;
   } catch (problem) { found.problem = String(problem); }
   document.body.dataset.found = JSON.stringify(found);
@@ -72,9 +79,10 @@ def test_a_browser_draws_every_plot_links_their_time_and_obeys_the_legend(chromi
     found = unescape(re.search(r'data-found="([^"]*)"', dom)[1])
     count = len(re.findall(r'id="plot-[a-z]', dom))
     assert console == []
-    assert count == 21
+    assert count == 23
     assert found == (
-        f'{{"plots":{count},"drawn":{count},"ok":true,"linked":{count},"zoomed":{count},"after":true,"width":0}}'
+        f'{{"plots":{count},"drawn":{count},"ok":true,"linked":{count},"zoomed_values":[4.894,5.006],"zoomed":{count},'
+        '"after":true,"all_values":[3.94,5.06],"width":0}'
     )
 
 
@@ -103,7 +111,15 @@ def test_the_command_writes_page_and_figures(write_log, tmp_path, capsys):
     assert "breaks off" in said
     assert (tmp_path / "r.html").stat().st_size < 8e6
     drawn = {path.name for path in (tmp_path / "png").iterdir()}
-    assert drawn == {"altitude.png", "roll.png", "pitch.png", "yaw.png", "load.png", "link.png"}
+    assert drawn == {
+        "altitude.png",
+        "roll.png",
+        "pitch.png",
+        "yaw.png",
+        "load.png",
+        "link.png",
+        "position.png",
+    }
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in (tmp_path / "png").iterdir())
 
 

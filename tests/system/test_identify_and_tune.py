@@ -72,7 +72,8 @@ def test_the_vehicles_gain_lag_and_delay_are_found_and_tuned_gains_keep_their_wo
     assert metrics.attitude_rms_rad <= 0.02
     for deviation in (metrics.pickup, metrics.drop):
         assert deviation.iae_m_s <= 0.10
-        assert deviation.peak_m <= 1.2 * 4.9 * predicted  # what the linear loop says of 5 kg on 10 kg
+        assert deviation.peak_m <= 0.08, "the demonstration's own target, with 5 dB of gain margin"
+    assert metrics.drop.peak_m == pytest.approx(predicted, rel=0.15)  # what the linear loop says
 
     changes = shadow(read_log(log), None).mass
     assert changes is not None
@@ -85,15 +86,16 @@ def test_the_vehicles_gain_lag_and_delay_are_found_and_tuned_gains_keep_their_wo
 def write_tuned(found: Identification, path: Path) -> float:
     """The demonstration's configuration with the identified altitude model and tuned bandwidths.
 
-    Returns the peak that a unit step of disturbance makes in the linear loop.
+    Returns the peak after the drop of 5 kg in the linear loop.
     """
     document = read_toml(bundled("demo-px4.toml"))
     model = {"altitude": model_tables(found, 0.0)["control"]["altitude"]}
     control = ControlTable.model_validate(merged(document["control"], model))
-    (tuned,) = tune(control, (3,), 0.01, Wanted(6.0, 30.0, 0.02))
+    (tuned,) = tune(control, (3,), 0.01, Wanted(), peak_m=0.08).channels
+    assert tuned.altitude is not None
     tables = tuned_tables(model, control, [tuned])
     scenario = bundled("demo-px4.toml").read_text(encoding="utf-8").partition("[scenario]")[2]
     document.pop("scenario")
     path.write_text(as_toml(merged(document, tables)) + "\n[scenario]" + scenario, encoding="utf-8")
     load(path, Overrides())
-    return tuned.disturbance_peak
+    return tuned.altitude.drop_peak_m

@@ -9,13 +9,13 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from typer.testing import CliRunner
 
 from kffa_offboard.cli import app
-from kffa_offboard.config import bundled
+from kffa_offboard.config import bundled, load
 from kffa_offboard.config_log import config_of
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.tlog import TIMESTAMP, read_tlog
 from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.replay.compare import compare, what_if
-from kffa_offboard.replay.engine import replay
+from kffa_offboard.replay.engine import replay, replay_what_if
 from kffa_offboard.replay.recording import read_recording
 
 
@@ -155,7 +155,20 @@ def test_other_gains_tell_what_would_have_changed(drop, tmp_path):
     assert changes["omega_c", "altitude"]["rms"] == pytest.approx(4.0, abs=0.5)
     assert changes["omega_c", "roll"]["rms"] == 0.0
     assert changes["command", "altitude"]["largest"] > 0.01
-    assert changes["estimate", "altitude"]["rms"] < 1e-3, "measurements were the same"
+    for signal in ("estimate", "disturbance"):
+        told = {changes[signal, channel]["largest"] for channel in ("roll", "pitch", "yaw", "altitude")}
+        assert told == {0.0}, "the same estimators saw the same samples and the same applied commands"
+
+
+def test_another_output_estimates_height_from_the_thrust_that_was_flown(drop):
+    recording = read_recording(drop)
+    flown = config_of(recording.header, drop)
+    other = load(bundled("demo-px4.toml"), replace(flown.overrides, output="attitude"))
+    result = what_if(recording, replay_what_if(recording, flown, other))
+    changes = {(change.signal, change.channel): change for change in result.changes}
+    assert result.steps > 500
+    assert changes["disturbance", "altitude"].largest == 0.0
+    assert changes["disturbance", "roll"].largest < 5.0
 
 
 def test_the_same_configuration_changes_nothing(drop):
