@@ -78,7 +78,7 @@ class End:
 
 Note: TypeAlias = Header | Request | ProcessReport | End
 
-Checked = TypeVar("Checked", Header, End, IntrusionNoticed, StepTiming)
+Checked = TypeVar("Checked", Header, End, IntrusionNoticed, StepTiming, Trouble)
 
 
 def to_messages(note: Note) -> list[Any]:
@@ -166,8 +166,8 @@ def _note(document: dict[str, Any]) -> Note:
             return _checked(IntrusionNoticed, fields)
         case {"note": "report", "what": "timing", **fields}:
             return _checked(StepTiming, fields)
-        case {"note": "report", "what": "trouble", "text": str(text)}:
-            return Trouble(text)
+        case {"note": "report", "what": "trouble", **fields}:
+            return _checked(Trouble, fields)
     what = document.get("note", "nothing known")
     raise ValueError(f"note {what!r} of format {document.get('format')}; this version reads format {FORMAT}")
 

@@ -19,8 +19,8 @@ from typing import Any
 
 import pytest
 
-from kffa_offboard.cli_run import make_companion
 from kffa_offboard.config import bundled, load
+from kffa_offboard.config_log import make_companion
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.link import open_link
 from kffa_offboard.mavlink.session import Session
