@@ -58,8 +58,8 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 test: lint
-	@$(BIN)/python -c 'import MAVProxy, mavsdk' 2>/dev/null || \
-	  echo "note: the clients extra is not installed: tests with MAVProxy and MAVSDK are skipped (make install-clients)"
+	@$(BIN)/python -c 'import MAVProxy, mavsdk, pyarrow, joblib, distributed' 2>/dev/null || \
+	  echo "note: an extra is not installed: tests with MAVProxy and MAVSDK, or of campaigns, are skipped (make install-clients)"
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 test-grid: $(VENV)/.dev
