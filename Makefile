@@ -14,8 +14,8 @@ help:
 	@echo "make test             ruff, mypy, import contracts, pytest"
 	@echo "make test-grid        every seed with both autopilots and both outputs: some minutes"
 	@echo "make lint             the same without pytest"
-	@echo "make install-clients  MAVProxy and MAVSDK too, for the tests that fly the simulator with them (1 GB)"
-	@echo "make bench            latency, replay, start-up, cost and jitter measured; benchmarks/results.json"
+	@echo "make install-clients  the extras, too: campaigns, and MAVProxy and MAVSDK for the tests that fly the simulator with them (1 GB)"
+	@echo "make bench            latency, replay, start-up, cost, jitter and batches of flights measured; benchmarks/results.json"
 	@echo "make clean            remove $(VENV), caches and builds"
 
 install: $(VENV)/.base
@@ -36,7 +36,7 @@ $(VENV)/.dev: $(INPUTS) | $(BIN)/python
 	@touch $(VENV)/.base $@
 
 $(VENV)/.clients: $(INPUTS) | $(BIN)/python
-	$(PIP) --editable '.[dev,clients]'
+	$(PIP) --editable '.[dev,clients,campaign]'
 	@touch $(VENV)/.base $(VENV)/.dev $@
 
 demo: $(VENV)/.base
@@ -49,6 +49,7 @@ bench: $(VENV)/.base
 	$(BIN)/python benchmarks/cost.py
 	$(BIN)/python benchmarks/jitter.py
 	$(BIN)/python benchmarks/fleet.py
+	OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 $(BIN)/python benchmarks/scale.py
 
 lint: $(VENV)/.dev
 	$(BIN)/ruff check
@@ -57,8 +58,8 @@ lint: $(VENV)/.dev
 	$(BIN)/lint-imports
 
 test: lint
-	@$(BIN)/python -c 'import MAVProxy, mavsdk' 2>/dev/null || \
-	  echo "note: the clients extra is not installed: tests with MAVProxy and MAVSDK are skipped (make install-clients)"
+	@$(BIN)/python -c 'import MAVProxy, mavsdk, pyarrow, joblib, distributed' 2>/dev/null || \
+	  echo "note: an extra is not installed: tests with MAVProxy and MAVSDK, or of campaigns, are skipped (make install-clients)"
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 test-grid: $(VENV)/.dev

@@ -1,4 +1,4 @@
-"""Commands that fly simulated vehicles or real firmware: demo, compare, paper."""
+"""Commands that fly simulated vehicles or real firmware: demo, compare, paper, campaign."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from kffa_offboard.errors import UserError
 
 PersonalityName = Literal["px4", "ardupilot"]
 ExampleName = Literal["1", "2", "3", "4", "position"]
+EngineName = Literal["local", "dask"]
 
 
 app = typer.Typer()
@@ -213,3 +214,70 @@ def paper(
     if example is not None:
         plan = replace(plan, examples=("position" if example == "position" else int(example),))
     raise typer.Exit(run_paper(plan))
+
+
+@app.command(
+    epilog=(
+        "Examples:\n\n"
+        "    kffa-offboard campaign\n\n"
+        "    kffa-offboard campaign my-campaign.toml --compare pid,ladrc,kffa-ladrc\n\n"
+        "    kffa-offboard campaign my-campaign.toml --flight 8123    (that one alone, with a report)\n\n"
+        "    kffa-offboard campaign --engine dask --scheduler tcp://10.0.0.1:8786\n\n"
+        "Exit status: 0 flown, however many failed, 2 wrong usage, 130 stopped."
+    )
+)
+def campaign(
+    file: Annotated[
+        Path | None,
+        typer.Argument(metavar="[FILE]", help="Campaign (TOML); configs/campaign.toml without it."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option(help="Where flights, summary and report go; it is gone on there.")
+    ] = Path("campaign-out"),
+    flights: Annotated[
+        int | None, typer.Option(min=1, max=10_000_000, help="How many, instead of the file's number.")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Instead of the file's.")] = None,
+    compare: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B,...", help="Controllers that fly the same flights, instead of the one configured."
+        ),
+    ] = None,
+    flight: Annotated[
+        int | None,
+        typer.Option(min=0, max=10_000_000, help="Fly the flight of this number alone, with a report."),
+    ] = None,
+    engine: Annotated[EngineName, typer.Option(help="This machine's cores, or a Dask cluster.")] = "local",
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Of the Dask cluster: tcp://HOST:PORT.")
+    ] = None,
+    jobs: Annotated[
+        int, typer.Option(min=-1, help="Processes on this machine; -1 is one for each core.")
+    ] = -1,
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the summary as one JSON object, no tables.")
+    ] = False,
+) -> None:
+    """Fly thousands of pick-ups and drops under random conditions; say how many fail, and how the rest do.
+
+    Load, its offset, moment of the drop, wind, noise, link delay, hover-thrust error and motor lag are drawn
+    for each flight from its number. Writes every flight as Parquet, summary.json and report.html. A campaign
+    that is stopped goes on where it was when the command is given again. Needs the extra:
+    pip install "kffa-offboard[campaign]".
+    """
+    from kffa_offboard.campaign.command import CampaignPlan, run_campaign
+
+    plan = CampaignPlan(
+        file=file,
+        directory=out,
+        flights=flights,
+        seed=seed,
+        compare=compare,
+        flight=flight,
+        engine=engine,
+        scheduler=scheduler,
+        jobs=jobs,
+        json=json,
+    )
+    raise typer.Exit(run_campaign(plan))

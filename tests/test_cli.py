@@ -23,7 +23,7 @@ def test_the_version_is_the_package_s(capsys: pytest.CaptureFixture[str]) -> Non
     assert capsys.readouterr().out == f"kffa-offboard {__version__}\n"
 
 
-@pytest.mark.parametrize("command", ["run", "check", "demo", "paper"])
+@pytest.mark.parametrize("command", ["run", "check", "demo", "paper", "campaign"])
 def test_help_has_examples_and_exit_statuses(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of(command, "--help") == 0
     text = capsys.readouterr().out

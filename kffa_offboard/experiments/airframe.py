@@ -14,6 +14,8 @@ rates. Motors ``(4, N)`` N: front, left, rear, right.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -24,6 +26,8 @@ THRUST = 246.0  # N of four motors: 1.5 times the weight of 16.73 kg
 MOTOR_LAG = 0.05  # s
 YAW_MOMENT = 0.03  # m, a propeller's torque over its thrust
 STEP_S = 0.005
+
+Integrator = Literal["runge-kutta", "midpoint"]
 
 #: Largest torque, N m: motors at 0 and 1; what the rate gains are relative to.
 FULL_TORQUE = 0.25 * THRUST * np.array([[ARM], [ARM], [2.0 * YAW_MOMENT]])
@@ -45,27 +49,59 @@ class RateLoop:
 
 @dataclass(frozen=True)
 class Body:
-    """Vehicle and load as one body; each ``(N,)``.
+    """Vehicle and load as one body; each ``(N,)`` unless said otherwise.
+
+    The vehicle's own moments are `INERTIA` about every axis (Table 1), the load is a point. So the inertia
+    about the common centre of mass is INERTIA + reduced mass times (|offset|^2 - offset offset^T), and its
+    inverse has a closed form.
 
     Attributes
     ----------
     mass : kg
-    inertia : kg m^2 about roll and pitch, through the common centre of mass; about yaw it is `INERTIA`
-    center : m, height of the common centre of mass above the airframe's centre (not positive)
+    offset : (3, N) m, of the load from the airframe's centre, in body axes
+    share : load over total mass; times `offset` it is the common centre of mass
+    reduced : kg, reduced mass of vehicle and load
     drag : N s/m in translation; N m s about yaw, and times the arm about roll and pitch
+    thrust : N of four motors at full command
+    motor_lag : s
     """
 
     mass: Array
-    inertia: Array
-    center: Array
+    offset: Array
+    share: Array
+    reduced: Array
     drag: float
+    thrust: float | Array = THRUST
+    motor_lag: float | Array = MOTOR_LAG
+
+    @cached_property
+    def inertia(self) -> Array:
+        """Moment about an axis through the common centre of mass across `offset` [kg m^2]."""
+        ox, oy, oz = self.offset
+        return np.asarray(INERTIA + self.reduced * (ox * ox + oy * oy + oz * oz))
+
+    @cached_property
+    def center(self) -> Array:
+        """The common centre of mass in body axes from the airframe's centre, ``(3, N)`` m."""
+        return np.asarray(self.share * self.offset)
 
 
-def body(load_mass: Array, drag: float) -> Body:
-    """The body that a load of `load_mass` ``(N,)`` [kg] makes, by the parallel axis theorem."""
+def body(
+    load_mass: Array,
+    drag: float,
+    offset: Array | None = None,
+    thrust: float | Array = THRUST,
+    motor_lag: float | Array = MOTOR_LAG,
+) -> Body:
+    """The body that a load of `load_mass` ``(N,)`` [kg] makes, by the parallel axis theorem.
+
+    `offset` ``(3, N)`` [m] is where it is held; straight below, `plant.LOAD_OFFSET` high, without it.
+    """
     mass = MASS + load_mass
     share = load_mass / mass
-    return Body(mass, INERTIA + MASS * share * LOAD_OFFSET**2, share * LOAD_OFFSET, drag)
+    if offset is None:
+        offset = np.stack([np.zeros_like(mass), np.zeros_like(mass), np.full_like(mass, LOAD_OFFSET)])
+    return Body(mass, offset, share, MASS * share, drag, thrust, motor_lag)
 
 
 def rate_loop(state: RateLoop, wanted: Array, measured: Array, dt: float = STEP_S) -> tuple[RateLoop, Array]:
@@ -98,24 +134,34 @@ def mix(thrust: Array, torque: Array) -> Array:
 
 
 def step(
-    rigid: Array, motors: Array, commands: Array, whole: Body, wind: Array, dt: float = STEP_S
+    rigid: Array,
+    motors: Array,
+    commands: Array,
+    whole: Body,
+    wind: Array,
+    dt: float = STEP_S,
+    integrator: Integrator = "runge-kutta",
 ) -> tuple[Array, Array]:
-    """Rigid state and motor thrust `dt` s later: exact motor lag, one Runge-Kutta step with the mean thrust.
+    """Rigid state and motor thrust `dt` s later: exact motor lag, one step with the mean thrust.
 
     Parameters
     ----------
     commands : (4, N), 0..1, held over the step
     wind : (3, N) m/s in the world, held over the step
+    integrator : of fourth order; "midpoint" is of second order and takes half the time
     """
-    target = THRUST / 4.0 * commands
-    keep = np.exp(-dt / MOTOR_LAG)
-    mean = target + (1.0 - keep) * MOTOR_LAG / dt * (motors - target)
+    target = whole.thrust / 4.0 * commands
+    lag = whole.motor_lag
+    keep = np.exp(-dt / lag)
+    mean = target + (1.0 - keep) * lag / dt * (motors - target)
     front, left, rear, right = mean
     wrench = np.stack(
         [front + left + rear + right, left - right, rear - front, YAW_MOMENT * (front - left + rear - right)]
     )
     first = derivatives(rigid, wrench, whole, wind)
     second = derivatives(rigid + 0.5 * dt * first, wrench, whole, wind)
+    if integrator == "midpoint":
+        return rigid + dt * second, target + keep * (motors - target)
     third = derivatives(rigid + 0.5 * dt * second, wrench, whole, wind)
     fourth = derivatives(rigid + dt * third, wrench, whole, wind)
     rigid = rigid + dt / 6.0 * (first + 2.0 * (second + third) + fourth)
@@ -125,30 +171,51 @@ def step(
 def derivatives(rigid: Array, wrench: Array, whole: Body, wind: Array) -> Array:
     """Time derivative ``(12, N)`` per second under U1..U4 ``(4, N)`` of eq 14 [N, N, N, N m]; Newton-Euler.
 
-    The centre of mass lies `whole.center` along body z from the point whose motion the state holds.
+    The state holds the motion of the airframe's centre, `whole.center` away from the common centre of mass.
     """
-    sines, cosines = np.sin(rigid[6:9]), np.cos(rigid[6:9])
-    (sr, sp, sy), (cr, cp, cy) = sines, cosines
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rigid[6:9]), np.cos(rigid[6:9])
     p, q, r = rigid[9:12]
-    u1, u2, u3, u4 = wrench
+    srsp, crsp = sr * sp, cr * sp
+    # Columns of R: axes of the body in the world.
+    forward = np.array([cp * cy, cp * sy, -sp])
+    left = np.array([srsp * cy - cr * sy, srsp * sy + cr * cy, sr * cp])
+    up = np.array([crsp * cy + sr * sy, crsp * sy - sr * cy, cr * cp])
     force = whole.drag * (wind - rigid[3:6])
-    # Axes of the body in the world, and the drag along the first two: its lever about the centre of mass.
-    forward = np.stack([cp * cy, cp * sy, -sp])
-    left = np.stack([cy * sp * sr - sy * cr, sy * sp * sr + cy * cr, cp * sr])
-    up = np.stack([cy * sp * cr + sy * sr, sy * sp * cr - cy * sr, cp * cr])
-    turning = whole.inertia - INERTIA
-    along_forward, along_left = (force * forward).sum(axis=0), (force * left).sum(axis=0)
-    roll_torque = ARM * (u2 - whole.drag * p) + whole.center * along_left + turning * q * r
-    pitch_torque = ARM * (u3 - whole.drag * q) - whole.center * along_forward - turning * p * r
-    ap, aq = roll_torque / whole.inertia, pitch_torque / whole.inertia
+    fx, fy, fz = [np.add.reduce(force * axis) for axis in (forward, left, up)]
+    fz += wrench[0]
+    angular = _angular_acceleration(rigid[9:12], wrench, (fx, fy, fz), whole)
+    # What the centre of mass has on top: alpha x c + omega x (omega x c).
+    (ap, aq, ar), (cx, cy_, cz) = angular, whole.center
+    along, square = p * cx + q * cy_ + r * cz, p * p + q * q + r * r
+    sx = aq * cz - ar * cy_ + p * along - square * cx
+    sy_ = ar * cx - ap * cz + q * along - square * cy_
+    sz = ap * cy_ - aq * cx + r * along - square * cz
     yaw_rate = (sr * q + cr * r) / cp
     rates = np.empty_like(rigid)
     rates[0:3] = rigid[3:6]
-    rates[3:6] = (u1 * up + force) / whole.mass
+    rates[3:6] = (fx / whole.mass - sx) * forward
+    rates[3:6] += (fy / whole.mass - sy_) * left
+    rates[3:6] += (fz / whole.mass - sz) * up
     rates[5] -= GRAVITY
-    # What the centre of mass has on top: alpha x c + omega x (omega x c), c = (0, 0, center).
-    swing = (aq + p * r) * forward - (ap - q * r) * left - (p * p + q * q) * up
-    rates[3:6] -= whole.center * swing
     rates[6], rates[7], rates[8] = p + sp * yaw_rate, cr * q - sr * r, yaw_rate
-    rates[9], rates[10], rates[11] = ap, aq, (u4 - whole.drag * r) / INERTIA
+    rates[9:12] = angular
     return rates
+
+
+def _angular_acceleration(
+    body_rates: Array, wrench: Array, force: tuple[Array, Array, Array], whole: Body
+) -> tuple[Array, Array, Array]:
+    """About body x, y, z [rad/s^2], with `force` [N] at the airframe's centre, in body axes."""
+    (p, q, r), (ox, oy, oz), (cx, cy, cz) = body_rates, whole.offset, whole.center
+    fx, fy, fz = force
+    _, u2, u3, u4 = wrench
+    # -omega x (I omega), of which only the load's part is not zero.
+    turning = whole.reduced * (ox * p + oy * q + oz * r)
+    tx = ARM * (u2 - whole.drag * p) + (cz * fy - cy * fz) + turning * (q * oz - r * oy)
+    ty = ARM * (u3 - whole.drag * q) + (cx * fz - cz * fx) + turning * (r * ox - p * oz)
+    tz = u4 - whole.drag * r + (cy * fx - cx * fy) + turning * (p * oy - q * ox)
+    across = ox * tx + oy * ty
+    back = whole.reduced / INERTIA * (across + oz * tz)
+    lift = whole.reduced * (oz * across - (ox * ox + oy * oy) * tz)
+    inertia = whole.inertia
+    return (tx + ox * back) / inertia, (ty + oy * back) / inertia, (tz + lift / inertia) / INERTIA

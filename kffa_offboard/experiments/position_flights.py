@@ -17,8 +17,7 @@ import numpy as np
 from kffa_offboard.config import Overrides, bundled, load
 from kffa_offboard.control import Array, controllers, position
 from kffa_offboard.control.controllers import ControllerName
-from kffa_offboard.control.rotation import body_rates_to_euler_rates, euler_rates_to_body_rates
-from kffa_offboard.experiments import airframe, plant
+from kffa_offboard.experiments import airframe, inner_loop, plant
 from kffa_offboard.experiments.settings import PaperSettings, PositionRing
 from kffa_offboard.offboard.profile import profile_altitude
 from kffa_offboard.offboard.segments import Move
@@ -255,19 +254,12 @@ class _Pilot:
         )
         level = np.ones(count)
         reference = np.stack([*wanted.attitude, self._told.yaw_rad * level, self._told.altitude_m * level])
-        rates = body_rates_to_euler_rates(attitude, measured[9:12])
-        self._inner, output = controllers.step(
+        self._inner, _, sent = inner_loop.step(
             self._parameters,
             self._inner,
-            controllers.ControllerInput(
-                reference,
-                np.concatenate([attitude, measured[2:3]]),
-                np.ones((4, count), dtype=bool),
-                np.concatenate([rates, measured[5:6]]),
-            ),
+            reference,
+            inner_loop.Telemetry(attitude, measured[9:12], measured[2], measured[5]),
+            self._settings.limits.tilt_compensation_max_rad,
             CONTROL_S,
         )
-        tilt = np.maximum(
-            np.cos(attitude[0]) * np.cos(attitude[1]), np.cos(self._settings.limits.tilt_compensation_max_rad)
-        )
-        return euler_rates_to_body_rates(attitude, output.command[:3]), output.command[3] / tilt
+        return sent.body_rates, sent.thrust

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from kffa_offboard.experiments import airframe
+from kffa_offboard.experiments import airframe, plant
 from sim_vehicle import airframe as simulated
-from sim_vehicle import environment, payload, rate_loop
+from sim_vehicle import dynamics, environment, payload, rate_loop
 from sim_vehicle.parameter_tables import PX4
 from sim_vehicle.parameters import ParameterStore
 from sim_vehicle.personality_px4_gains import rate_gains
 
 COUNT, DRAG = 50, 0.6
+THEIRS_FULL = 246.0
 THEIRS = simulated.AirframeParameters(drag=DRAG, ground=None)
 
 
@@ -48,6 +49,32 @@ def test_one_step_with_load_and_wind_is_the_same() -> None:
     # Euler angles here, a quaternion there: the integration errors of 5 ms differ.
     np.testing.assert_allclose(ours[0], there.rigid, rtol=0, atol=1e-8)
     np.testing.assert_allclose(ours[1], there.motor_thrust, rtol=0, atol=1e-12)
+
+
+def test_a_load_off_the_centre_turns_it_as_the_simulated_vehicle() -> None:
+    rigid, _, load, wind, thrust, torque = random_flights()
+    offset = np.random.default_rng(4).normal(0.0, 0.2, (3, COUNT))
+    wrench = np.concatenate([THEIRS_FULL * thrust[None], torque])
+    vehicle = payload.VehicleBody(plant.MASS, (plant.INERTIA,) * 3, plant.ARM)
+    there = dynamics.derivatives(
+        rigid,
+        wrench,
+        payload.mass_properties(vehicle, load, tuple(offset)),
+        DRAG,
+        plant.GRAVITY,
+        wind_velocity=wind,
+    )
+    ours = airframe.derivatives(rigid, wrench, airframe.body(load, DRAG, offset), wind)
+    np.testing.assert_allclose(ours, there, rtol=0, atol=1e-10)
+
+
+def test_motors_may_be_weaker_and_slower_from_flight_to_flight() -> None:
+    rigid, motors, load, wind, *_ = random_flights()
+    full, lag = np.linspace(200.0, 300.0, COUNT), np.linspace(0.02, 0.1, COUNT)
+    body = airframe.body(load, DRAG, None, full, lag)
+    _, after = airframe.step(rigid, motors, np.full((4, COUNT), 0.5), body, wind)
+    share = 1.0 - np.exp(-airframe.STEP_S / lag)
+    np.testing.assert_allclose(after, motors + share * (full / 8.0 - motors), rtol=1e-12)
 
 
 def test_one_step_of_5_ms_is_short_enough() -> None:

@@ -1,0 +1,1 @@
+"""Robustness campaigns: thousands of flights under random conditions, each reproducible by its number."""

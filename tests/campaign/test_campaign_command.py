@@ -1,0 +1,185 @@
+"""`kffa-offboard campaign`: what it keeps, that it goes on where it was, and what it says."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kffa_offboard import cli
+from kffa_offboard.campaign import command, extras
+from kffa_offboard.campaign.engine import run_local
+from kffa_offboard.campaign.settings import Campaign
+from kffa_offboard.campaign.store import Store
+from kffa_offboard.campaign.task import Task, run, tasks
+from kffa_offboard.errors import UserError
+
+parquet: Any = pytest.importorskip("pyarrow.parquet")
+pytest.importorskip("joblib")
+
+SHORT = """
+[campaign]
+flights = 14
+[flight]
+settle_s = 0.3
+[random]
+drop_after_s = [0.2, 0.4]
+[failed]
+recovery_max_s = 0.3
+"""
+WIDTH = 6
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> command.CampaignPlan:
+    file = tmp_path / "campaign.toml"
+    file.write_text(SHORT, encoding="utf-8")
+    return command.CampaignPlan(file, tmp_path / "out", jobs=1, width=WIDTH, json=True)
+
+
+def summary_of(captured: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    told: dict[str, Any] = json.loads(captured.readouterr().out.splitlines()[-1])
+    return told
+
+
+def test_everything_is_kept_and_summed_up(
+    plan: command.CampaignPlan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.run_campaign(replace(plan, compare="kffa-ladrc, pid")) == 0
+    told = summary_of(capsys)["controllers"]
+    assert list(told) == ["pid", "kffa-ladrc"]
+    table = parquet.read_table(plan.directory / "flights").to_pydict()
+    assert len(table["flight"]) == 28
+    ours = [row for row, name in enumerate(table["controller"]) if name == "kffa-ladrc"]
+    assert sorted(table["flight"][row] for row in ours) == list(range(14))
+    peaks = np.array([table["drop_peak_m"][row] for row in ours])
+    assert told["kffa-ladrc"]["percentiles"]["drop_peak_m"]["p99"] == pytest.approx(np.percentile(peaks, 99))
+    failed = sorted(table["flight"][row] for row in ours if table["failure"][row])
+    assert told["kffa-ladrc"]["failed_flights"] == failed
+    assert told["kffa-ladrc"]["failed"] == len(failed) == sum(told["kffa-ladrc"]["failures"].values())
+    loads = {name: [] for name in ("pid", "kffa-ladrc")}  # type: dict[str, list[float]]
+    for name, load in zip(table["controller"], table["load_kg"], strict=True):
+        loads[name].append(load)
+    assert sorted(loads["pid"]) == sorted(loads["kffa-ladrc"])
+    page = (plan.directory / "report.html").read_text(encoding="utf-8")
+    assert "14 random flights with pid, kffa-ladrc" in page
+    assert "http" not in page.replace("data:image", "")
+
+
+def test_a_stopped_campaign_goes_on_and_ends_the_same(
+    plan: command.CampaignPlan, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    keep, kept = Store.keep, []
+
+    def stopped(store: Store, task: Task, table: Any) -> None:
+        if kept:
+            raise KeyboardInterrupt
+        keep(store, task, table)
+        kept.append(task)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Store, "keep", stopped)
+        assert command.run_campaign(plan) == command.INTERRUPTED
+    assert "6 of 14 flights are kept" in capsys.readouterr().err
+    first = plan.directory / "flights" / f"{kept[0].name}.parquet"
+    before = first.stat().st_mtime_ns
+    assert command.run_campaign(plan) == 0
+    ours = summary_of(capsys)
+    assert first.stat().st_mtime_ns == before
+    whole = replace(plan, directory=plan.directory.with_name("whole"))
+    assert command.run_campaign(whole) == 0
+    assert summary_of(capsys) == ours
+
+
+def test_a_longer_campaign_keeps_its_flights_and_counts_none_twice(
+    plan: command.CampaignPlan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for flights in (3, 8):
+        assert command.run_campaign(replace(plan, flights=flights)) == 0
+        assert summary_of(capsys)["controllers"]["kffa-ladrc"]["flights"] == flights
+
+
+def test_another_campaign_is_not_mixed_in(plan: command.CampaignPlan) -> None:
+    short = replace(plan, flights=2)
+    assert command.run_campaign(short) == 0
+    with pytest.raises(UserError, match="holds another campaign's flights with kffa-ladrc; choose another"):
+        command.run_campaign(replace(short, seed=2))
+    (plan.directory / "campaign.json").write_text("{", encoding="utf-8")
+    with pytest.raises(UserError, match=r"campaign\.json: is damaged"):
+        command.run_campaign(short)
+
+
+def test_one_flight_alone_is_the_one_of_the_campaign(
+    plan: command.CampaignPlan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.run_campaign(plan) == 0
+    assert command.run_campaign(replace(plan, flight=11)) == 0
+    alone = summary_of(capsys)["kffa-ladrc"]
+    table = parquet.read_table(plan.directory / "flights").to_pydict()
+    row = table["flight"].index(11)
+    for name, value in alone.items():
+        assert value == table[name][row] or np.isnan(value), name
+    directory = plan.directory / "flight-00000011"
+    assert (directory / "flight.png").read_bytes().startswith(b"\x89PNG")
+    page = (directory / "report.html").read_text(encoding="utf-8")
+    assert "flight 11, kffa-ladrc" in page
+    assert "picked up" in page
+
+
+def test_several_processes_fly_the_same(campaign: Campaign) -> None:
+    work = list(tasks(campaign, 4, 2))
+    ours = dict(run(campaign, task) for task in work)
+    theirs = dict(run_local(campaign, work, jobs=2))
+    assert list(ours) == sorted(theirs, key=lambda task: task.first)
+    for task, table in ours.items():
+        for name, values in table.items():
+            np.testing.assert_array_equal(values, theirs[task][name])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["--compare", "pid,adrc"], "--compare adrc: no such controller; choose from pid,"),
+        (["--engine", "dask"], "--engine dask and --scheduler ADDRESS go together"),
+        (["--scheduler", "tcp://127.0.0.1:1"], "--engine dask and --scheduler ADDRESS go together"),
+        (["--jobs", "0", "--flights", "1"], "--jobs 0: no process would fly"),
+    ],
+)
+def test_wrong_usage_is_one_line_and_status_2(
+    plan: command.CampaignPlan, capsys: pytest.CaptureFixture[str], arguments: list[str], line: str
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["campaign", str(plan.file), "--out", str(plan.directory), *arguments])
+    assert ended.value.code == 2
+    said = [text for text in capsys.readouterr().err.splitlines() if text.startswith("error: ")]
+    assert len(said) == 1
+    assert line in said[0]
+
+
+def test_without_the_extra_it_says_what_to_install(
+    plan: command.CampaignPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(name: str) -> None:
+        raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+    monkeypatch.setattr(extras, "import_module", missing)
+    with pytest.raises(UserError, match=r'pyarrow, which is not installed; .*"kffa-offboard\[campaign\]"'):
+        command.run_campaign(plan)
+    assert command.run_campaign(replace(plan, flight=1, flights=2)) == 0  # needs none of it
+
+
+def test_help_does_not_load_what_flies() -> None:
+    script = (
+        "import sys; from kffa_offboard import cli\n"
+        "try: cli.main(['campaign', '--help'])\n"
+        "except SystemExit: pass\n"
+        "assert not {'numpy', 'pyarrow', 'joblib', 'distributed', 'matplotlib'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", script], check=True, env=os.environ, stdout=subprocess.DEVNULL)

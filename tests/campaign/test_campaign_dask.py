@@ -1,0 +1,94 @@
+"""A campaign on a Dask cluster of two workers on loopback, one of which is killed."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from kffa_offboard.campaign import engine
+from kffa_offboard.campaign.engine import run_dask
+from kffa_offboard.campaign.settings import Campaign
+from kffa_offboard.campaign.store import Store
+from kffa_offboard.campaign.task import run, tasks
+from kffa_offboard.errors import UserError
+
+distributed: Any = pytest.importorskip("distributed")
+pytest.importorskip("pyarrow")
+
+STARTED_S = 60.0
+
+
+@contextmanager
+def worker(scheduler: str, directory: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A worker process of its own, without a nanny that would start it again."""
+    options = ["--no-nanny", "--nthreads", "1", "--no-dashboard", "--local-directory", str(directory)]
+    options += ["--host", "127.0.0.1", "--death-timeout", "60"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_worker", scheduler, *options],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait()
+
+
+@pytest.fixture(scope="module")
+def scheduler() -> Iterator[str]:
+    with distributed.LocalCluster(
+        n_workers=0, host="127.0.0.1", scheduler_port=0, dashboard_address=None, protocol="tcp"
+    ) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.mark.timeout(300)  # two interpreters start on a machine that may be busy
+def test_a_killed_worker_loses_nothing_and_nothing_counts_twice(
+    scheduler: str, campaign: Campaign, tmp_path: Path
+) -> None:
+    flights, width = 40, 4
+    work = list(tasks(campaign, flights, width))
+    store = Store(tmp_path / "out", campaign)
+    came = []
+    with ExitStack() as stack:
+        workers = [stack.enter_context(worker(scheduler, tmp_path / str(k))) for k in range(2)]
+        client = stack.enter_context(distributed.Client(scheduler, set_as_default=False))
+        client.wait_for_workers(2, timeout=STARTED_S)
+        for task, table in run_dask(campaign, work, scheduler):
+            came.append(task)
+            store.keep(task, table)
+            if len(came) == 2:
+                busy = {address for address, keys in client.processing().items() if keys}
+                assert len(busy) == 2
+                workers[0].send_signal(signal.SIGKILL)
+                workers[0].wait()
+        assert len(client.scheduler_info(n_workers=-1)["workers"]) == 1
+    assert sorted(came, key=lambda task: task.first) == work
+    kept = store.read("kffa-ladrc", flights)
+    assert kept["flight"].tolist() == list(range(flights))
+    _, alone = run(campaign, replace(work[-1], first=36))
+    for name, values in alone.items():
+        if name != "failure":
+            np.testing.assert_array_equal(kept[name][36:], values, err_msg=name)
+
+
+def test_no_scheduler_or_no_worker_is_said_in_a_line(
+    scheduler: str, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    work = list(tasks(campaign, 1, 1))
+    monkeypatch.setattr(engine, "CONNECT_S", 0.2)
+    with pytest.raises(UserError, match=r"no Dask scheduler answers .* start one with `dask scheduler`"):
+        next(run_dask(campaign, work, "tcp://127.0.0.1:1"))
+    monkeypatch.setattr(engine, "CONNECT_S", 10)
+    with pytest.raises(UserError, match="the cluster has no worker; start some with `dask worker"):
+        next(run_dask(campaign, work, scheduler))
