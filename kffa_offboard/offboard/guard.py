@@ -30,6 +30,48 @@ class Checked:
     fault: str | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What the controller is to follow.
+
+    Attributes
+    ----------
+    roll, pitch : rad
+    altitude : m above the ground level
+    place : m, x and y from where control was taken; None if no place is held
+    """
+
+    roll: float
+    pitch: float
+    altitude: float
+    place: tuple[float, float] | None = None
+
+
+def check_wish(
+    limits: LimitSettings, wish: Wish, previous: Wish | None, dt: float
+) -> tuple[Wish, str | None]:
+    """Bring what is to be followed within tilt, height, climb rate and fence; and what was changed, in words.
+
+    `previous` is what was followed `dt` s before; None: the height may begin anywhere. What is not finite is
+    left to `check_target`, which sends nothing then.
+    """
+    roll, pitch, altitude, place = wish.roll, wish.pitch, wish.altitude, wish.place
+    changed = None
+    angle = hypot(roll, pitch)
+    if angle > limits.tilt_max_rad:
+        roll, pitch = roll * limits.tilt_max_rad / angle, pitch * limits.tilt_max_rad / angle
+    if previous is not None:
+        altitude = _slew(altitude, previous.altitude, limits.climb_rate_setpoint_max_m_s * max(dt, 0.0))
+    bounded = _clip(altitude, limits.altitude_min_m, limits.altitude_max_m)
+    if bounded < altitude:
+        changed = f"set point held at {bounded:g} m of height"
+    reach = limits.fence_radius_m - limits.fence_margin_m
+    if place is not None and hypot(*place) > reach:
+        away = hypot(*place)
+        place, changed = (place[0] * reach / away, place[1] * reach / away), "set point held at the fence"
+    return Wish(roll, pitch, bounded, place), changed
+
+
 def _clip(value: float, lower: float, upper: float) -> float:
     return min(max(value, lower), upper)
 

@@ -1,7 +1,8 @@
 """Any mixture of faults: no command that is not fit, none after release, and control that ends in time.
 
-Each flight is a copy of one that is engaged already, and has up to three faults towards the daemon, one towards
-the vehicle, and two things that happen to the vehicle. What is judged is in `kffa_offboard.faults.check`.
+Each flight is a copy of one that is engaged already, and has up to three faults towards the daemon, one
+towards the vehicle, and two things that happen to the vehicle. What is judged is in
+`kffa_offboard.faults.check`.
 """
 
 from math import inf, nan
@@ -29,7 +30,7 @@ from sim_vehicle.swing import Rope
 SAMPLES = ("ATTITUDE", "LOCAL_POSITION_NED")
 GROUPS = 16
 SECONDS = 1.3
-FAR, STEEP = 3.0, 1.05  # m, rad: how far the vehicle may get while control is kept and it is sound
+FAR, STEEP = 2.0, 0.3  # m, rad: how far a vehicle that is sound may get while control is kept
 
 kinds = st.sampled_from(
     [(), ("ATTITUDE",), ("LOCAL_POSITION_NED",), SAMPLES, ("HEARTBEAT",), ("COMMAND_ACK",), ("TIMESYNC",)]
