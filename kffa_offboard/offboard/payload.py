@@ -215,8 +215,8 @@ def _watch_changes(
     if change < 0.0:
         before = load.mass - change
         dropped = -change if _clear(settings, load) else before
-        text = Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg")
-        return replace(state, pick_up=None, told=load.mass), (text,)
+        drop = Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg")
+        return replace(state, pick_up=None, told=load.mass), (drop,)
     pick_up = state.pick_up
     if pick_up is None and np.isinf(state.estimator.suspected):
         told = load.mass + (state.told - load.mass) * exp(-sample.dt / TOLD_MEMORY_S)
