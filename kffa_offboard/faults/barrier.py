@@ -45,7 +45,7 @@ class BarrierFaults:
         """A datagram of the daemon; what the vehicle receives for it, in order."""
         if self.time_us is None:
             return [data]  # it says hello before there is any time
-        if _time_ns(data, asks=False) == max(self._barrier_ns, 1):
+        if _time_ns(data, asks=False) == self._barrier_ns:
             return [*self.up.take(self.time_us), data]
         self.up.put(self.time_us, data)
         return []
