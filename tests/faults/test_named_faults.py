@@ -165,6 +165,14 @@ def test_commands_that_come_late_end_control_once_the_round_trip_shows_it(fault_
     assert flight.violations == []
 
 
+WAYS = pytest.mark.parametrize("way", ["in_process", "over_udp"])
+
+
+def flown(flight, way):
+    return flight.fly() if way == "in_process" else flight.fly_over_udp()
+
+
+@WAYS
 @pytest.mark.parametrize(
     ("personality", "act", "reason"),
     [
@@ -173,17 +181,19 @@ def test_commands_that_come_late_end_control_once_the_round_trip_shows_it(fault_
         ("px4", lambda vehicle: vehicle.firmware.disarm(True), "control given up: disarmed"),
     ],
 )
-def test_the_pilot_wins_and_not_one_setpoint_follows(fault_flight, personality, act, reason):
+def test_the_pilot_wins_and_not_one_setpoint_follows(fault_flight, personality, act, reason, way):
     """PX4 tells of it with its next heartbeat, up to 1 s later."""
-    flight = fault_flight(personality, acts={AT: act}, seconds=AT + 1.5).fly()
+    flight = flown(fault_flight(personality, acts={AT: act}, seconds=AT + 1.5), way)
     assert reason in flight.texts
     assert flight.released_s <= AT + 1.1
     assert flight.targets[-1][0] <= flight.released_s * 1e6
 
 
-def test_an_autopilot_that_restarts_in_flight_ends_control(fault_flight):
+@WAYS
+def test_an_autopilot_that_restarts_in_flight_ends_control(fault_flight, way):
     """Its clock begins anew and it is disarmed."""
     disarmed = Overwrite(AT, messages=HEARTBEAT, values={"base_mode": 81})
-    flight = fault_flight(down=(ShiftClock(AT, offset_s=-AT), disarmed), seconds=AT + 1.0).fly()
+    down = (ShiftClock(AT, offset_s=-AT), disarmed)
+    flight = flown(fault_flight(down=down, seconds=AT + 1.0), way)
     assert flight.released_s <= AT + 0.3
     assert flight.violations == []
