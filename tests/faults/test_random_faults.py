@@ -179,11 +179,13 @@ def fly_from_the_start(fault_flight, number, examples):
     mixtures()
 
 
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("group", range(GROUPS))
 def test_any_mixture_of_faults(settled_flight, group):
     fly_mixtures(settled_flight, group, 13)
 
 
+@pytest.mark.timeout(300)
 @pytest.mark.parametrize("group", range(2))
 def test_any_mixture_of_faults_while_engaging(fault_flight, group):
     fly_from_the_start(fault_flight, group, 15)
