@@ -147,6 +147,7 @@ class Session:
         self._flight = begin_flight(time_us, not grounded, altitude, known.attitude.attitude[2])
         self._loop = forget_sent(self._loop)
         self._centre = known.position.position[:2]
+        self._followed = None
         self._said.clear()
         self._stay = False
         self._armed_here = False
