@@ -57,9 +57,7 @@ def check_wish(
     """
     roll, pitch, altitude, place = wish.roll, wish.pitch, wish.altitude, wish.place
     changed = None
-    angle = hypot(roll, pitch)
-    if angle > limits.tilt_max_rad:
-        roll, pitch = roll * limits.tilt_max_rad / angle, pitch * limits.tilt_max_rad / angle
+    roll, pitch = _within_tilt(limits, roll, pitch)
     if previous is not None:
         altitude = _slew(altitude, previous.altitude, limits.climb_rate_setpoint_max_m_s * max(dt, 0.0))
     bounded = _clip(altitude, limits.altitude_min_m, limits.altitude_max_m)
@@ -163,19 +161,33 @@ def _check_rates(
 
 
 def _check_attitude(limits: LimitSettings, wanted: Vector3, previous: Vector3 | None, dt: float) -> Vector3:
-    """Bound the change of attitude, then its tilt (the heading taken the short way)."""
+    """Bound the tilt, then its change and that of the heading (taken the short way).
+
+    Tilt goes straight towards what is wanted, so that it stays within its limit on the way.
+    """
     roll, pitch, yaw = wanted
     if abs(yaw) > pi:
         yaw = (yaw + pi) % (2.0 * pi) - pi
+    roll, pitch = _within_tilt(limits, roll, pitch)
     if previous is not None:
         bounds = limits.body_rate_max_rad_s
-        roll = _slew(roll, previous[0], bounds[0] * dt)
-        pitch = _slew(pitch, previous[1], bounds[1] * dt)
+        share = 1.0
+        for new, old, bound in ((roll, previous[0], bounds[0]), (pitch, previous[1], bounds[1])):
+            if abs(new - old) > bound * dt:
+                share = min(share, bound * dt / abs(new - old))
+        if share < 1.0:
+            roll = previous[0] + share * (roll - previous[0])
+            pitch = previous[1] + share * (pitch - previous[1])
+            roll, pitch = _within_tilt(limits, roll, pitch)
         turn = (yaw - previous[2] + pi) % (2.0 * pi) - pi
         if abs(turn) > bounds[2] * dt:
             yaw = previous[2] + _clip(turn, -bounds[2] * dt, bounds[2] * dt)
             yaw = (yaw + pi) % (2.0 * pi) - pi
-    angle = tilt((roll, pitch, yaw))
-    if angle > limits.tilt_max_rad:
-        roll, pitch = roll * limits.tilt_max_rad / angle, pitch * limits.tilt_max_rad / angle
     return (roll, pitch, yaw)
+
+
+def _within_tilt(limits: LimitSettings, roll: float, pitch: float) -> tuple[float, float]:
+    angle = hypot(roll, pitch)
+    if angle <= limits.tilt_max_rad:
+        return roll, pitch
+    return roll * limits.tilt_max_rad / angle, pitch * limits.tilt_max_rad / angle

@@ -35,7 +35,7 @@ from kffa_offboard.trials.processes import process
 
 GROUP = "fault"
 HEIGHT_M = 2.0
-AT_S = 9.0
+AT_S = 10.5
 """Simulated time at which the fault begins: the vehicle hovers."""
 
 KEPT_S = 1.5
