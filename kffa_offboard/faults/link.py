@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
+from dataclasses import replace
 
 from kffa_offboard.faults.barrier import BarrierFaults
 from kffa_offboard.mavlink.transport import Datagram, Link
@@ -30,10 +31,19 @@ class FaultyLink:
         """See `transport.Link`."""
         return self.inner.trouble
 
+    @property
+    def descriptor(self) -> int | None:
+        """See `transport.Link`."""
+        return self.inner.descriptor
+
+    def take_news(self) -> str | None:
+        """See `transport.Link`."""
+        return self.inner.take_news()
+
     def receive(self, timeout_s: float) -> list[Datagram]:
         """See `transport.Link`."""
         return [
-            Datagram(datagram.time_us, data, datagram.source)
+            replace(datagram, data=data)
             for datagram in self.inner.receive(timeout_s)
             for data in self.faults.from_vehicle(datagram.data)
         ]

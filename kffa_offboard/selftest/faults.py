@@ -25,7 +25,7 @@ from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.link import open_link
 from kffa_offboard.mavlink.session import Session
 from kffa_offboard.mavlink.shell import real_time_clock, run_lock_step
-from kffa_offboard.offboard.events import Announce, Event, Output, Signals
+from kffa_offboard.offboard.events import Announce, Event, Output, ProcessReport, Signals
 from kffa_offboard.offboard.segments import Hold, Takeoff
 from kffa_offboard.offboard.service import Service
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -108,6 +108,9 @@ class _Flight:
     def write_request(self, time_us: int, request: object) -> None:
         """As a recorder."""
 
+    def write_report(self, time_us: int, report: object) -> None:
+        """As a recorder."""
+
     def write_end(self, time_us: int, reason: str, frames_dropped: int) -> None:
         """As a recorder."""
 
@@ -140,8 +143,9 @@ def _fly(case: Case, truth: Path) -> _Flight:
     faults = BarrierFaults(FaultLine((case.fault,)), FaultLine(()))
     end_s = AT_S + (case.ends_s or KEPT_S) + 0.5
 
-    def observe(time_us: int, item: Event | Output) -> None:
-        flight.heard.append((time_us, item))
+    def observe(time_us: int, item: Event | Output | ProcessReport) -> None:
+        if not isinstance(item, ProcessReport):
+            flight.heard.append((time_us, item))
         if time_us >= end_s * 1e6:
             stop.set()
 

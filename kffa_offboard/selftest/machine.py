@@ -77,7 +77,10 @@ def _verdict(rate_hz: float, together_s: float, needed: bool) -> Row:
 class _Discard:
     """A link to nowhere."""
 
-    name, keeps_frames_whole, trouble = "self-test", True, ""
+    name, keeps_frames_whole, trouble, descriptor = "self-test", True, "", None
+
+    def take_news(self) -> str | None:
+        return None
 
     def receive(self, timeout_s: float) -> list[Datagram]:
         return []

@@ -59,10 +59,14 @@ class InProcessLink:
     name = "in-process"
     keeps_frames_whole = True
     trouble = ""
+    descriptor = None
 
     def __init__(self, vehicle):
         self.vehicle = vehicle
         vehicle.add_peer("daemon")
+
+    def take_news(self):
+        return None
 
     def receive(self, timeout_s):
         vehicle = self.vehicle
