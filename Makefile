@@ -6,13 +6,14 @@ BIN := $(VENV)/bin
 INPUTS := pyproject.toml constraints.txt
 PIP := PIP_CONSTRAINT=constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --quiet
 
-.PHONY: help install install-dev install-clients demo bench test test-grid lint clean
+.PHONY: help install install-dev install-clients demo bench test test-grid test-faults lint clean
 
 help:
 	@echo "make install          the commands kffa-offboard and sim-vehicle, in $(BIN)"
 	@echo "make demo             fly: take off, pick up 5 kg, drop it, land; figure and table in $(OUT)"
 	@echo "make test             ruff, mypy, import contracts, pytest"
 	@echo "make test-grid        every seed with both autopilots and both outputs: some minutes"
+	@echo "make test-faults      three thousand random mixtures of faults in flight: half an hour"
 	@echo "make lint             the same without pytest"
 	@echo "make install-clients  the extras, too: campaigns, and MAVProxy and MAVSDK for the tests that fly the simulator with them (1 GB)"
 	@echo "make bench            latency, replay, start-up, cost, jitter and batches of flights measured; benchmarks/results.json"
@@ -64,6 +65,9 @@ test: lint
 
 test-grid: $(VENV)/.dev
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m grid --timeout 300
+
+test-faults: $(VENV)/.dev
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m long_faults
 
 clean:
 	rm -rf $(VENV) build dist .hypothesis .import_linter_cache .mypy_cache .pytest_cache .ruff_cache

@@ -1,4 +1,4 @@
-"""Commands that fly simulated vehicles or real firmware: demo, compare, paper, campaign."""
+"""Commands that fly simulated vehicles or real firmware: demo, compare, paper, campaign, selftest."""
 
 from __future__ import annotations
 
@@ -281,3 +281,31 @@ def campaign(
         json=json,
     )
     raise typer.Exit(run_campaign(plan))
+
+
+@app.command(
+    epilog=(
+        "Examples:\n\n"
+        "    kffa-offboard selftest\n\n"
+        "    kffa-offboard selftest --json --out selftest-out\n\n"
+        "Exit status: 0 all passed, 1 something failed, 2 wrong usage, 130 stopped."
+    )
+)
+def selftest(
+    out: Annotated[Path, typer.Option(help="Where selftest.json, logs and true states go.")] = Path(
+        "selftest-out"
+    ),
+    json: Annotated[
+        bool, typer.Option("--json", help="Print the results as one JSON object, no table.")
+    ] = False,
+) -> None:
+    """See before flying that this installation does what it should, on this machine.
+
+    Checks the control law against known answers, flies pick-up and drop on the bundled vehicle as PX4 and as
+    ArduCopter, injects faults and looks for the reactions of docs/safety.md, feeds the guard with bad
+    commands, replays what was just recorded, and measures whether this machine keeps up with 100 and 250 Hz.
+    A minute or two.
+    """
+    from kffa_offboard.selftest.command import SelftestPlan, run_selftest
+
+    raise typer.Exit(run_selftest(SelftestPlan(directory=out, json=json)))

@@ -87,6 +87,7 @@ class LimitsTable(Table):
     tilt_failsafe_deg: Angle = degrees(_LIMITS.tilt_failsafe_rad)
     altitude_min_m: Altitude = _LIMITS.altitude_min_m
     altitude_max_m: Altitude = _LIMITS.altitude_max_m
+    climb_rate_setpoint_max_m_s: Speed = _LIMITS.climb_rate_setpoint_max_m_s
     attitude_jump_deg: Angle = degrees(_LIMITS.attitude_jump_rad)
     attitude_rate_max_deg_s: AngularRate = degrees(_LIMITS.attitude_rate_max_rad_s)
     altitude_jump_m: Length = _LIMITS.altitude_jump_m

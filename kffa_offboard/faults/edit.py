@@ -51,11 +51,12 @@ def edited(frame: bytes, change: Callable[[Any], None]) -> bytes:
 
 
 def decoded(frame: bytes) -> Any | None:
-    """The message of a frame; None if it is damaged."""
+    """The message of a frame; None if it is damaged, or of a kind that nobody knows."""
     try:
-        return mavlink.MAVLink(None).decode(bytearray(frame))
+        message = mavlink.MAVLink(None).decode(bytearray(frame))
     except mavlink.MAVError:
         return None
+    return None if isinstance(message, mavlink.MAVLink_unknown) else message
 
 
 def set_fields(message: Any, values: Mapping[str, Any]) -> None:

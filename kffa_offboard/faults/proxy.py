@@ -1,4 +1,8 @@
-"""A proxy between daemon and vehicle over UDP on this machine, with faults both ways, in real time."""
+"""A proxy between daemon and vehicle over UDP on this machine, with faults both ways.
+
+In real time or, between two that fly in lock-step, on the clock of their barrier: then a slow machine changes
+nothing.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +13,7 @@ import threading
 import time
 from collections.abc import Iterator
 
+from kffa_offboard.faults.barrier import BarrierFaults
 from kffa_offboard.faults.line import FaultLine
 
 HOST = "127.0.0.1"
@@ -17,6 +22,7 @@ LONGEST_SLEEP_S = 0.005
 """Also how finely a flood is spread."""
 
 AT_ONCE = 256
+RECEIVE_BUFFER = 1 << 20
 
 
 class FaultProxy:
@@ -26,15 +32,17 @@ class FaultProxy:
     ----------
     daemon_port : where the daemon listens (a `udpin` link)
     down, up : faults towards the daemon and towards the vehicle; their clock starts at 0 with the thread
+    lockstep : their clock is the simulated time of the barrier instead
 
     Raises OSError if no port can be had.
     """
 
-    def __init__(self, daemon_port: int, down: FaultLine, up: FaultLine) -> None:
+    def __init__(self, daemon_port: int, down: FaultLine, up: FaultLine, *, lockstep: bool = False) -> None:
         self._vehicle_side = self._open()
         self._daemon_side = self._open()
         self._daemon = (HOST, daemon_port)
         self._down, self._up = down, up
+        self._barrier = BarrierFaults(down, up) if lockstep else None
         self._vehicle: tuple[str, int] | None = None
         self._origin_us = time.monotonic_ns() // 1000
         self._stop = threading.Event()
@@ -44,6 +52,7 @@ class FaultProxy:
     def _open() -> socket.socket:
         opened = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         opened.setblocking(False)
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BUFFER)
         opened.bind((HOST, 0))
         return opened
 
@@ -74,27 +83,40 @@ class FaultProxy:
         while not self._stop.is_set():
             ready, _, _ = select.select([self._vehicle_side, self._daemon_side], [], [], LONGEST_SLEEP_S)
             now_us = time.monotonic_ns() // 1000 - self._origin_us
-            if self._vehicle_side in ready:
-                for data, source in self._received(self._vehicle_side):
-                    self._vehicle = source
+            for data in self._received(self._vehicle_side, ready):
+                if self._barrier is None:
                     self._down.put(now_us, data)
-            if self._daemon_side in ready:
-                for data, _ in self._received(self._daemon_side):
+                else:
+                    self._to_daemon(self._barrier.from_vehicle(data))
+            for data in self._received(self._daemon_side, ready):
+                if self._barrier is None:
                     self._up.put(now_us, data)
-            self._deliver(now_us)
+                else:
+                    self._to_vehicle(self._barrier.from_daemon(data))
+            if self._barrier is None:
+                self._to_daemon(self._down.take(now_us))
+                self._to_vehicle(self._up.take(now_us))
 
-    def _deliver(self, now_us: int) -> None:
-        with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # lost, as datagrams are
-            for data in self._down.take(now_us):
+    def _to_daemon(self, arrived: list[bytes]) -> None:
+        for data in arrived:
+            with contextlib.suppress(BlockingIOError, ConnectionRefusedError):  # lost, as datagrams are
                 self._daemon_side.sendto(data, self._daemon)
-            for data in self._up.take(now_us):
-                if self._vehicle is not None:
+
+    def _to_vehicle(self, arrived: list[bytes]) -> None:
+        for data in arrived:
+            if self._vehicle is not None:
+                with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
                     self._vehicle_side.sendto(data, self._vehicle)
 
-    @staticmethod
-    def _received(side: socket.socket) -> list[tuple[bytes, tuple[str, int]]]:
-        received: list[tuple[bytes, tuple[str, int]]] = []
+    def _received(self, side: socket.socket, ready: list[socket.socket]) -> list[bytes]:
+        """What waits on a side; the vehicle's tells where it is."""
+        received: list[bytes] = []
+        if side not in ready:
+            return received
         with contextlib.suppress(BlockingIOError, ConnectionRefusedError):
             for _ in range(AT_ONCE):
-                received.append(side.recvfrom(DATAGRAM_SIZE))
+                data, source = side.recvfrom(DATAGRAM_SIZE)
+                received.append(data)
+                if side is self._vehicle_side:
+                    self._vehicle = source
         return received

@@ -16,10 +16,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from kffa_offboard.mavlink.component import Message
 from kffa_offboard.offboard.events import LinkMeasured
 
-REQUEST_PERIOD_US = 500_000
-WINDOW = 10
+REQUEST_PERIOD_US = 200_000
+WINDOW = 25
 USUAL = 3
-"""The usual round trip is the median of so many: a link that becomes slow is noticed within 1 s."""
+"""The usual round trip is the median of so many: a link that becomes slow is noticed within 0.5 s."""
 
 LONGEST_ROUND_TRIP_US = 1_000_000
 RESTART_US = 100_000

@@ -4,31 +4,49 @@ Rules of thumb, with the numbers that the simulated vehicle gives (docs/safety.m
 
 - an observer with bandwidth omega_o wants a sample every 2.5 / omega_o at least;
 - a law with bandwidth omega_c bears a latency of 1 / omega_c (57 degrees of phase); in flight 1.2 / omega_c
-  ends control.
+  ends control;
+- an observer with bandwidth omega_o bears a latency that is 1.5 / omega_o longer than the delay that it is
+  told of; in flight 2 / omega_o ends control. So much more makes the demonstration's height swing by 0.2 m.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import hypot, isnan
 
 import numpy as np
 
 from kffa_offboard.offboard import telemetry
+from kffa_offboard.offboard.course import course_problem
 from kffa_offboard.offboard.events import BatteryReported, LinkMeasured
+from kffa_offboard.offboard.loop import LoopState
 from kffa_offboard.offboard.settings import LimitSettings, ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry, rate_hz
 
 SAMPLES_PER_RADIAN = 0.4
 """Samples in the time 1 / omega_o, at least."""
 
-LATENCY_TO_ENGAGE = 1.0
-LATENCY_IN_FLIGHT = 1.2
-"""Largest omega_c times latency."""
+
+@dataclass(frozen=True, slots=True)
+class Bearable:
+    """Largest omega_c times latency, and largest omega_o times what of it the observer is not told of."""
+
+    law: float
+    observer: float
+
+
+LATENCY_TO_ENGAGE = Bearable(1.0, 1.5)
+LATENCY_IN_FLIGHT = Bearable(1.2, 2.0)
+
+
+SETTLED_RAD, SETTLED_M, SETTLED_M_S = 0.1, 0.3, 1.0
+"""How far estimates of angle, height and climb rate may be from what is measured."""
 
 
 def refusal(
     settings: ServiceSettings,
     known: Telemetry,
+    loop: LoopState | None,
     link: LinkMeasured | None,
     battery: BatteryReported | None,
     time_us: int,
@@ -36,10 +54,35 @@ def refusal(
     """Why control must not be taken, or None."""
     return (
         telemetry.not_ready(settings.telemetry, known, time_us)
+        or unsettled(known, loop)
         or slow(settings, known, time_us)
         or late(settings, known, link, time_us, LATENCY_TO_ENGAGE)
         or empty(settings.limits, battery)
     )
+
+
+def unsettled(known: Telemetry, loop: LoopState | None) -> str | None:
+    """The observers do not agree with what is measured yet."""
+    if loop is None or known.attitude is None or known.position is None:
+        return None
+    roll, pitch, _, _ = loop.controller.observer.estimate.tolist()
+    climb_rate = float(loop.controller.observer.rate[3])
+    angle = max(abs(roll - known.attitude.attitude[0]), abs(pitch - known.attitude.attitude[1]))
+    height = abs(loop.altitude - known.position.position[2])
+    rate = abs(climb_rate - known.position.velocity[2])
+    for name, off, most, unit in (
+        ("attitude", angle, SETTLED_RAD, "rad"),
+        ("height", height, SETTLED_M, "m"),
+        ("climb rate", rate, SETTLED_M_S, "m/s"),
+    ):
+        if off > most:
+            return f"estimates are settling: {name} off by {off:.2g} {unit}"
+    return None
+
+
+def leaves_limits(settings: ServiceSettings, loop: LoopState, grounded: bool) -> str | None:
+    """Where the scenario would lead out of the limits from here, or None."""
+    return course_problem(settings.scenario, settings.limits.bounds, 0.0 if grounded else loop.hold_altitude)
 
 
 def slow(settings: ServiceSettings, known: Telemetry, time_us: int) -> str | None:
@@ -59,21 +102,28 @@ def slow(settings: ServiceSettings, known: Telemetry, time_us: int) -> str | Non
 
 
 def late(
-    settings: ServiceSettings, known: Telemetry, link: LinkMeasured | None, time_us: int, most: float
+    settings: ServiceSettings, known: Telemetry, link: LinkMeasured | None, time_us: int, most: Bearable
 ) -> str | None:
-    """Latency, as far as it is measured, above `most` / omega_c.
+    """Latency, as far as it is measured, above what law and observer bear.
 
     It is the round trip at least, of which half is an underestimate when commands alone come late.
     """
-    law = settings.controller.law
+    law, observer = settings.controller.law, settings.controller.observer
     latency_s = telemetry.latency_s(known, link, time_us)
-    if law is None or link is None or isnan(latency_s):
+    if law is None or observer is None or link is None or isnan(latency_s):
         return None
     latency_s = max(latency_s, link.round_trip_s)
-    bandwidth = float(np.max(law.omega_c))
-    if latency_s * bandwidth <= most:
-        return None
-    return f"latency {latency_s:.2f} s; omega_c = {bandwidth:g} bears {most / bandwidth:.2f}"
+    omega_c = float(np.max(law.omega_c))
+    omega_o = np.abs(observer.poles).max(axis=0)
+    told = settings.controller.actuator.delay + most.observer / omega_o
+    channel = int(np.argmin(told))
+    for name, bandwidth, limit in (
+        ("omega_c", omega_c, most.law / omega_c),
+        ("omega_o", float(omega_o[channel]), float(told[channel])),
+    ):
+        if latency_s > limit:
+            return f"latency {latency_s:.2f} s; {name} = {bandwidth:g} bears {limit:.2f}"
+    return None
 
 
 def empty(limits: LimitSettings, battery: BatteryReported | None) -> str | None:

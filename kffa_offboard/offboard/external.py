@@ -40,9 +40,15 @@ class External:
 
 
 def refusal(
-    settings: ServiceSettings, setpoint: PositionSetpoint | AttitudeSetpoint, ground: float
+    settings: ServiceSettings,
+    setpoint: PositionSetpoint | AttitudeSetpoint,
+    ground: float,
+    centre: tuple[float, float],
 ) -> str | None:
-    """Why a setpoint cannot be flown; `ground` [m] is what the limits of altitude count from."""
+    """Why a setpoint cannot be flown.
+
+    `ground` [m] is what the limits of altitude count from, `centre` [m] what the fence does.
+    """
     if isinstance(setpoint, AttitudeSetpoint):
         if not all(map(isfinite, setpoint.attitude)):
             return "attitude is not finite"
@@ -54,6 +60,10 @@ def refusal(
         return "position is not finite"
     if x is not None and settings.position is None:
         return "x and y need [position] enabled"
+    if x is not None and y is not None:
+        away, limits = hypot(x - centre[0], y - centre[1]), settings.limits
+        if away > limits.fence_radius_m - limits.fence_margin_m:
+            return f"{away:.0f} m away, fence at {limits.fence_radius_m:g}"
     lowest, highest = settings.limits.altitude_min_m, settings.limits.altitude_max_m
     if z is not None and not lowest < z - ground < highest:
         return f"altitude {z - ground:.0f} m is outside {lowest:g} .. {highest:g}"

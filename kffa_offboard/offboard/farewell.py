@@ -21,14 +21,14 @@ def farewell(
 ) -> tuple[AttitudeTarget, ...]:
     """One setpoint, or none if nothing was sent yet or the vehicle stands on the ground.
 
-    Thrust is the average of the last setpoints, which carries a load, too; while thrust is ramped up or down
-    near the ground, no more than was sent last.
+    Thrust is a mean of the last setpoints (`carrying`), which carries a load, too; while thrust is ramped up
+    or down near the ground, no more than was sent last.
     """
-    if loop is None or loop.sent is None or flight is None or known.attitude is None:
+    if loop is None or loop.sent is None or loop.carrying is None or flight is None or known.attitude is None:
         return ()
     if flight.phase is Phase.GROUND:
         return ()
-    thrust, airborne = loop.mean_thrust, flight.phase is Phase.AIR
+    thrust, airborne = loop.carrying.thrust, flight.phase is Phase.AIR
     if not airborne:
         thrust = min(thrust, loop.sent.thrust)
     level = AttitudeTarget(thrust, attitude=(0.0, 0.0, known.attitude.attitude[2]))

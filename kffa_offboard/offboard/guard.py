@@ -30,6 +30,46 @@ class Checked:
     fault: str | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What the controller is to follow.
+
+    Attributes
+    ----------
+    roll, pitch : rad
+    altitude : m above the ground level
+    place : m, x and y from where control was taken; None if no place is held
+    """
+
+    roll: float
+    pitch: float
+    altitude: float
+    place: tuple[float, float] | None = None
+
+
+def check_wish(
+    limits: LimitSettings, wish: Wish, previous: Wish | None, dt: float
+) -> tuple[Wish, str | None]:
+    """Bring what is to be followed within tilt, height, climb rate and fence; and what was changed, in words.
+
+    `previous` is what was followed `dt` s before; None: the height may begin anywhere. What is not finite is
+    left to `check_target`, which sends nothing then.
+    """
+    roll, pitch, altitude, place = wish.roll, wish.pitch, wish.altitude, wish.place
+    changed = None
+    roll, pitch = _within_tilt(limits, roll, pitch)
+    if previous is not None:
+        altitude = _slew(altitude, previous.altitude, limits.climb_rate_setpoint_max_m_s * max(dt, 0.0))
+    bounded = _clip(altitude, limits.altitude_min_m, limits.altitude_max_m)
+    if bounded < altitude:
+        changed = f"set point held at {bounded:g} m of height"
+    reach = limits.fence_radius_m - limits.fence_margin_m
+    if place is not None and hypot(*place) > reach:
+        away = hypot(*place)
+        place, changed = (place[0] * reach / away, place[1] * reach / away), "set point held at the fence"
+    return Wish(roll, pitch, bounded, place), changed
+
+
 def _clip(value: float, lower: float, upper: float) -> float:
     return min(max(value, lower), upper)
 
@@ -121,19 +161,33 @@ def _check_rates(
 
 
 def _check_attitude(limits: LimitSettings, wanted: Vector3, previous: Vector3 | None, dt: float) -> Vector3:
-    """Bound the change of attitude, then its tilt (the heading taken the short way)."""
+    """Bound the tilt, then its change and that of the heading (taken the short way).
+
+    Tilt goes straight towards what is wanted, so that it stays within its limit on the way.
+    """
     roll, pitch, yaw = wanted
     if abs(yaw) > pi:
         yaw = (yaw + pi) % (2.0 * pi) - pi
+    roll, pitch = _within_tilt(limits, roll, pitch)
     if previous is not None:
         bounds = limits.body_rate_max_rad_s
-        roll = _slew(roll, previous[0], bounds[0] * dt)
-        pitch = _slew(pitch, previous[1], bounds[1] * dt)
+        share = 1.0
+        for new, old, bound in ((roll, previous[0], bounds[0]), (pitch, previous[1], bounds[1])):
+            if abs(new - old) > bound * dt:
+                share = min(share, bound * dt / abs(new - old))
+        if share < 1.0:
+            roll = previous[0] + share * (roll - previous[0])
+            pitch = previous[1] + share * (pitch - previous[1])
+            roll, pitch = _within_tilt(limits, roll, pitch)
         turn = (yaw - previous[2] + pi) % (2.0 * pi) - pi
         if abs(turn) > bounds[2] * dt:
             yaw = previous[2] + _clip(turn, -bounds[2] * dt, bounds[2] * dt)
             yaw = (yaw + pi) % (2.0 * pi) - pi
-    angle = tilt((roll, pitch, yaw))
-    if angle > limits.tilt_max_rad:
-        roll, pitch = roll * limits.tilt_max_rad / angle, pitch * limits.tilt_max_rad / angle
     return (roll, pitch, yaw)
+
+
+def _within_tilt(limits: LimitSettings, roll: float, pitch: float) -> tuple[float, float]:
+    angle = hypot(roll, pitch)
+    if angle <= limits.tilt_max_rad:
+        return roll, pitch
+    return roll * limits.tilt_max_rad / angle, pitch * limits.tilt_max_rad / angle

@@ -14,6 +14,7 @@ import numpy as np
 
 from kffa_offboard.control import Array, controllers
 from kffa_offboard.control.rotation import body_rates_to_euler_rates, euler_rates_to_body_rates, wrap_angle
+from kffa_offboard.offboard.carrying import Carrying, follow
 from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
 from kffa_offboard.offboard.flight import Directive
 from kffa_offboard.offboard.guard import check_target, tilt_factor
@@ -27,7 +28,6 @@ from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry, reported_target, reported_thrust
 
-THRUST_MEMORY_S = 0.3
 ROUNDING = 1e-9  # what a setpoint may change by on its way through body rates and back
 
 
@@ -50,7 +50,7 @@ class LoopState:
     altitude : m, estimate
     hold_altitude : m, where the vehicle comes to rest if it is told to hold now
     vertical_thrust : last command on the altitude channel
-    mean_thrust : collective thrust of the setpoints, averaged over `THRUST_MEMORY_S`
+    carrying : what thrust of the setpoints carries the vehicle; None before the first of an engagement
     sent, sent_us : last setpoint of this engagement and when; None before the first
     blend : None outside an engagement in the air
     horizontal : the position ring, None without one
@@ -61,7 +61,7 @@ class LoopState:
     altitude: float
     hold_altitude: float
     vertical_thrust: float
-    mean_thrust: float = 0.0
+    carrying: Carrying | None = None
     sent: AttitudeTarget | None = None
     sent_us: int = 0
     blend: Blend | None = None
@@ -134,7 +134,7 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
 
 def forget_sent(loop: LoopState) -> LoopState:
     """Nothing has been sent in the engagement that begins, or the one that was has ended."""
-    return replace(loop, sent=None, blend=None, mean_thrust=0.0)
+    return replace(loop, sent=None, blend=None, carrying=None)
 
 
 def _measurement(known: Telemetry) -> Array:
@@ -276,7 +276,7 @@ def step_loop(
         loop,
         controller=controller,
         vertical_thrust=float(sent[3] if flown is None else flown[3]),
-        mean_thrust=_averaged(loop, checked.target.thrust, since),
+        carrying=follow(loop.carrying, checked.target.thrust, since),
         sent=checked.target,
         sent_us=time_us,
     )
@@ -285,13 +285,6 @@ def step_loop(
     return loop, LoopStep(
         checked.target, _signals(time_us, order, times, place, measured, output, sent, applied)
     )
-
-
-def _averaged(loop: LoopState, thrust: float, dt: float) -> float:
-    """First-order average of the setpoints' thrust, beginning with the first of an engagement."""
-    if loop.sent is None:
-        return thrust
-    return thrust + (loop.mean_thrust - thrust) * exp(-dt / THRUST_MEMORY_S)
 
 
 def _wish(

@@ -1,14 +1,18 @@
 """What the vehicle carries: estimate, pick-up and drop in words, reports at a steady rate.
 
 A pure step function around `control.payload`. Mass is estimated only while the daemon's own thrust flies
-the vehicle freely: not on the ground, in the thrust ramps or in a landing, where the ground takes part
-of the weight.
+the vehicle freely: not on the ground, in the thrust ramps or in the last metre of a landing, where the ground
+takes part of the weight.
+
+The estimate lives on thrust and climb rate that fit together. When they do not (thrust swings on a link that
+is too slow), changes are found that cannot be: a drop without a load, a load that no thrust lifts. From the
+first of these on nothing is said until no change has been found for `CALM_S`; then, what is carried.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import cos
+from math import cos, exp
 
 import numpy as np
 
@@ -17,6 +21,12 @@ from kffa_offboard.offboard.events import Announce, Output, PayloadReport, Sever
 from kffa_offboard.offboard.payload_settings import PayloadSettings
 
 _SURE = 3.0  # standard deviations
+
+CALM_S = 2.0
+"""Without a change for so long, changes are believed again."""
+
+TOLD_MEMORY_S = 1.0
+"""Time constant with which the load that is known follows its estimate: batteries sag, winds change."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +41,7 @@ class PayloadSample:
     climb_rate : measured, m/s
     fresh : the climb rate is new
     flying : the daemon's thrust flies the vehicle freely
+    swinging : thrust swings, so that changes of the load are not to be believed
     """
 
     time_us: int
@@ -40,6 +51,7 @@ class PayloadSample:
     climb_rate: float
     fresh: bool
     flying: bool
+    swinging: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +92,8 @@ class Awareness:
     pick_up : noticed and not yet named
     expected : commanded release whose outcome is open
     heavy : too heavy a load has been announced
+    told : kg, the load according to what was last announced; it follows the estimate while that is quiet
+    unrest_us : the last change that was not believed; None while changes are
     """
 
     estimator: payload.PayloadState
@@ -89,6 +103,8 @@ class Awareness:
     pick_up: PickUp | None = None
     expected: ExpectedDrop | None = None
     heavy: bool = False
+    told: float = 0.0
+    unrest_us: int | None = None
 
 
 def begin_awareness(sample: PayloadSample) -> Awareness:
@@ -153,10 +169,11 @@ def _estimate(
     outputs: list[Output] = []
     if first:
         outputs += _carrying(settings, load)
+        state = replace(state, told=load.mass)
     if state.expected is not None:
         state, said = _watch_release(settings, state, load, sample.time_us)
     else:
-        state, said = _watch_changes(settings, state, load, float(estimate.change), sample.time_us)
+        state, said = _watch_changes(settings, state, load, float(estimate.change), sample)
     state, warned = _watch_limit(settings, state, load)
     state, reports = _report(settings, state, load, sample.time_us)
     return state, (*outputs, *said, *warned, *reports)
@@ -169,7 +186,8 @@ def _clear(settings: PayloadSettings, load: Load) -> bool:
 
 def has_load(settings: PayloadSettings, state: Awareness) -> bool:
     """The vehicle carries a load, and how heavy it is is known."""
-    return state.load is not None and state.pick_up is None and _clear(settings, state.load)
+    known = state.load is not None and state.pick_up is None and state.unrest_us is None
+    return known and state.load is not None and _clear(settings, state.load)
 
 
 def _carrying(settings: PayloadSettings, load: Load) -> list[Output]:
@@ -182,21 +200,56 @@ _Told = tuple[Awareness, tuple[Output, ...]]
 
 
 def _watch_changes(
-    settings: PayloadSettings, state: Awareness, load: Load, change: float, time_us: int
+    settings: PayloadSettings, state: Awareness, load: Load, change: float, sample: PayloadSample
 ) -> _Told:
     """Put pick-up and drop into words."""
+    time_us = sample.time_us
+    doubtful = state.unrest_us is not None or sample.swinging
+    if change != 0.0 and (doubtful or not _believable(settings, state, load, change)):
+        return replace(state, unrest_us=time_us, pick_up=None), ()
+    if state.unrest_us is not None:
+        return _watch_unrest(settings, state, load, time_us)
     if change > 0.0:
         before = load.mass - change if state.pick_up is None else state.pick_up.before
         return replace(state, pick_up=PickUp(time_us, before)), ()
     if change < 0.0:
         before = load.mass - change
         dropped = -change if _clear(settings, load) else before
-        return replace(state, pick_up=None), (Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg"),)
+        drop = Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg")
+        return replace(state, pick_up=None, told=load.mass), (drop,)
     pick_up = state.pick_up
+    if pick_up is None and np.isinf(state.estimator.suspected):
+        told = load.mass + (state.told - load.mass) * exp(-sample.dt / TOLD_MEMORY_S)
+        return replace(state, told=told), ()
     if pick_up is None or time_us - pick_up.since_us < round(settings.announce_s * 1e6):
         return state, ()
     text = f"picked up {load.mass - pick_up.before:.1f} kg"
-    return replace(state, pick_up=None), (Announce(Severity.NOTICE, text),)
+    return replace(state, pick_up=None, told=load.mass), (Announce(Severity.NOTICE, text),)
+
+
+def _believable(settings: PayloadSettings, state: Awareness, load: Load, change: float) -> bool:
+    """The load was what was told, no less than nothing is left, and no more than thrust can lift."""
+    estimator = settings.estimator
+    least = estimator.detection.minimum
+    slack = max(2.0 * least, _SURE * load.std)
+    before = load.mass - change
+    known = state.told if state.pick_up is None else before
+    most = estimator.vehicle_mass * (1.0 / estimator.hover_thrust - 1.0)
+    return abs(before - known) < slack and -slack < load.mass < most and (change > 0.0 or before > least)
+
+
+def _watch_unrest(settings: PayloadSettings, state: Awareness, load: Load, time_us: int) -> _Told:
+    """Say what is carried when changes can be believed again, if that is news."""
+    assert state.unrest_us is not None
+    if time_us - state.unrest_us < round(CALM_S * 1e6):
+        return state, ()
+    news = abs(load.mass - state.told) > max(2.0 * settings.estimator.detection.minimum, _SURE * load.std)
+    state = replace(state, unrest_us=None, told=load.mass if news else state.told)
+    if not news:
+        return state, ()
+    if _clear(settings, load):
+        return state, tuple(_carrying(settings, load))
+    return state, (Announce(Severity.INFO, "carrying no load"),)
 
 
 def _watch_release(settings: PayloadSettings, state: Awareness, load: Load, time_us: int) -> _Told:
@@ -208,7 +261,7 @@ def _watch_release(settings: PayloadSettings, state: Awareness, load: Load, time
         return state, ()
     if load.mass < 0.5 * expected.load and load.std < 0.25 * expected.load:
         text = Announce(Severity.NOTICE, f"dropped {expected.load:.1f} kg")
-        return replace(state, expected=None), (text,)
+        return replace(state, expected=None, told=load.mass), (text,)
     if elapsed < settings.release_timeout_s:
         return state, ()
     text = Announce(Severity.WARNING, f"release not seen: still {load.mass:.1f} kg")
@@ -218,9 +271,10 @@ def _watch_release(settings: PayloadSettings, state: Awareness, load: Load, time
 def _watch_limit(settings: PayloadSettings, state: Awareness, load: Load) -> _Told:
     """Say once that a load is too heavy, when that is sure, and again only after it was not."""
     limit = settings.max_load_kg
-    if limit is None or state.pick_up is not None or state.expected is not None:
+    waits = state.pick_up is not None or state.expected is not None or state.unrest_us is not None
+    if limit is None or waits:
         return state, ()
-    if not state.heavy and load.mass - 2.0 * load.std > limit:
+    if not state.heavy and min(load.mass, state.told) - 2.0 * load.std > limit:
         text = f"load of {load.mass:.1f} kg is above the limit of {limit:.1f} kg"
         return replace(state, heavy=True), (Announce(Severity.WARNING, text),)
     return replace(state, heavy=state.heavy and load.mass > limit), ()
@@ -230,5 +284,6 @@ def _report(settings: PayloadSettings, state: Awareness, load: Load, time_us: in
     period_us = round(1e6 / settings.report_hz)
     if state.reported_us is not None and time_us - state.reported_us < period_us:
         return state, ()
-    report = PayloadReport(time_us, load.mass, load.std)
+    std = load.std if state.unrest_us is None else max(load.std, abs(load.mass - state.told))
+    report = PayloadReport(time_us, load.mass, std)
     return replace(state, reported_us=time_us), (report,)

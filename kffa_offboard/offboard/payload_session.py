@@ -166,6 +166,9 @@ class PayloadSession(Session):
             climb_rate=known.position.velocity[2],
             fresh=known.position.sample_time_us != self._position_us,
             flying=order.acting and order.airborne and not self._landing(),
+            swinging=self._loop is not None
+            and self._loop.carrying is not None
+            and self._loop.carrying.swings,
         )
         self._position_us = known.position.sample_time_us
         if self._awareness is None:
@@ -178,7 +181,14 @@ class PayloadSession(Session):
 
     def _landing(self) -> bool:
         """The ground may take part of the weight; a release just before it is still watched."""
-        if self._flight is None or self.state is not State.ENGAGED or self._release_plan is not None:
+        if (
+            self._flight is None
+            or self._loop is None
+            or self.state is not State.ENGAGED
+            or self._release_plan is not None
+        ):
             return False
         index, scenario = self._flight.scenario.index, self.settings.scenario
-        return index < len(scenario) and isinstance(scenario[index], Land)
+        height = self._loop.altitude - self._flight.scenario.ground
+        low = height < self.settings.flight.slow_height_m
+        return low and index < len(scenario) and isinstance(scenario[index], Land)

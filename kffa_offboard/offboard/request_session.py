@@ -11,6 +11,7 @@ from dataclasses import replace
 from kffa_offboard.offboard import admission, events, external, parameters, rivals
 from kffa_offboard.offboard.events import AttitudeSetpoint, Event, PositionSetpoint, Severity
 from kffa_offboard.offboard.flight import Directive, Phase
+from kffa_offboard.offboard.guard import Wish, check_wish
 from kffa_offboard.offboard.payload_session import PayloadSession
 from kffa_offboard.offboard.reference import current_segment
 from kffa_offboard.offboard.segments import External
@@ -85,7 +86,8 @@ class RequestSession(PayloadSession):
         refusal = self._not_following()
         if refusal is None:
             assert self._flight is not None
-            refusal = external.refusal(self.settings, setpoint, self._flight.scenario.ground)
+            ground, centre = self._flight.scenario.ground, self._centre or (0.0, 0.0)
+            refusal = external.refusal(self.settings, setpoint, ground, centre)
         if refusal is not None:
             self._say_once(Severity.WARNING, f"setpoint not followed: {refusal}")
             return
@@ -118,6 +120,32 @@ class RequestSession(PayloadSession):
             self._say(Severity.NOTICE, "no attitude setpoints: level")
         moved = external.hold(self._external, self._flight.scenario, self._captured, time_us)
         self._flight = replace(self._flight, scenario=moved)
+
+    def _within_limits(self, time_us: int, directive: Directive) -> Directive:
+        """The directive as the guard lets it be followed."""
+        assert self._flight is not None
+        followed, self._followed = self._followed, None
+        if directive.ground_thrust is not None:
+            return directive
+        ground, (x, y), captured = self._flight.scenario.ground, self._centre or (0.0, 0.0), self._captured
+        roll, pitch, yaw, altitude = directive.reference
+        origin = (captured[0] - x, captured[1] - y)
+        place = (origin[0] + directive.offset[0], origin[1] + directive.offset[1])
+        held = None if self.settings.position is None else place
+        wish = Wish(roll, pitch, altitude - ground, held)
+        before, since_us = (None, time_us) if followed is None or directive.align else followed
+        safe, changed = check_wish(self.settings.limits, wish, before, (time_us - since_us) * 1e-6)
+        self._followed = (safe, time_us)
+        if changed is not None:
+            self._say_once(Severity.WARNING, changed)
+        if safe == wish:
+            return directive
+        offset = (
+            directive.offset if safe.place is None else (safe.place[0] - origin[0], safe.place[1] - origin[1])
+        )
+        return replace(
+            directive, reference=(safe.roll, safe.pitch, yaw, safe.altitude + ground), offset=offset
+        )
 
     def _with_attitude_setpoint(self, directive: Directive) -> Directive:
         """The directive with the attitude that was asked for from outside."""

@@ -365,7 +365,7 @@ class Service(RequestSession):
             self._flight, directive = step_flight(
                 self.settings, segments, self._flight, self._flight_sample(time_us)
             )
-            directive = self._with_attitude_setpoint(directive)
+            directive = self._within_limits(time_us, self._with_attitude_setpoint(directive))
         airborne = directive.ground_thrust is None
         return Order(directive, self.state.value, sending=True, acting=True, airborne=airborne)
 

@@ -21,6 +21,7 @@ from kffa_offboard.offboard.flight import (
     hold_here,
     start_scenario,
 )
+from kffa_offboard.offboard.guard import Wish
 from kffa_offboard.offboard.loop import LoopState, forget_sent
 from kffa_offboard.offboard.rivals import Rivals, forbids
 from kffa_offboard.offboard.segments import Land, starts_on_ground
@@ -68,6 +69,7 @@ class Session:
         self._trust = Trust()
         self._rivals = Rivals()
         self._centre: tuple[float, float] | None = None
+        self._followed: tuple[Wish, int] | None = None
         self._stay = False
         self._external: External | None = None
 
@@ -105,7 +107,9 @@ class Session:
             return unsafe
         if self.state not in IDLE:
             return f"already {self.state.value}"
-        refusal = admission.refusal(self.settings, self._known, self._link, self._battery, time_us)
+        refusal = admission.refusal(
+            self.settings, self._known, self._loop, self._link, self._battery, time_us
+        )
         refusal = refusal or forbids(self._rivals, time_us)
         if refusal is not None or self.state is State.WAITING:
             return refusal or "not ready"
@@ -114,6 +118,9 @@ class Session:
             return "cannot tell whether it flies"
         if grounded and not starts_on_ground(self.settings.scenario):
             return "on the ground, and no take-off first"
+        leads = self._loop is not None and admission.leaves_limits(self.settings, self._loop, grounded)
+        if leads:
+            return leads
         return telemetry.outside_limits(self.settings.limits, self._known, self._ground_level(grounded))
 
     def _ground_level(self, grounded: bool) -> float:
@@ -140,6 +147,7 @@ class Session:
         self._flight = begin_flight(time_us, not grounded, altitude, known.attitude.attitude[2])
         self._loop = forget_sent(self._loop)
         self._centre = known.position.position[:2]
+        self._followed = None
         self._said.clear()
         self._stay = False
         self._armed_here = False

@@ -12,6 +12,7 @@ from typing import Literal, TypeAlias
 
 from kffa_offboard.control.controllers import ControllerParameters
 from kffa_offboard.control.position import PositionParameters
+from kffa_offboard.offboard.course import Bounds, course_problem
 from kffa_offboard.offboard.payload_settings import PayloadSettings
 from kffa_offboard.offboard.segments import Land, Move, Segment, Sine, Step, Takeoff, Triangle, check_scenario
 
@@ -95,7 +96,9 @@ class LimitSettings:
     attitude_jump_rad, attitude_rate_max_rad_s : a change between two samples of more than
         jump + rate * dt is impossible
     altitude_jump_m, climb_rate_max_m_s : the same for altitude; also the largest measured rates
-    fence_radius_m : farthest from where control was taken
+    climb_rate_setpoint_max_m_s : fastest change of the height that a scenario or anybody asks for
+    fence_radius_m : farthest from where control was taken; places that are asked for must lie
+        `fence_margin_m` inside
     battery_min_percent : below it control is not taken
     tilt_compensation_max_rad : thrust is divided by cos(roll) cos(pitch) down to this angle's cosine
     """
@@ -113,6 +116,7 @@ class LimitSettings:
     attitude_rate_max_rad_s: float = 10.0
     altitude_jump_m: float = 0.5
     climb_rate_max_m_s: float = 10.0
+    climb_rate_setpoint_max_m_s: float = 5.0
     fence_radius_m: float = 100.0
     battery_min_percent: float = 20.0
     tilt_compensation_max_rad: float = pi / 3.0
@@ -134,8 +138,9 @@ class LimitSettings:
                 f"limits.altitude_min_m = {self.altitude_min_m}: must be below "
                 f"altitude_max_m = {self.altitude_max_m}"
             )
-        if self.fence_radius_m <= 0.0:
-            raise ValueError(f"limits.fence_radius_m = {self.fence_radius_m}: must be positive")
+        for name in ("fence_radius_m", "climb_rate_setpoint_max_m_s"):
+            if getattr(self, name) <= 0.0:
+                raise ValueError(f"limits.{name} = {getattr(self, name)}: must be positive")
         if not 0.0 < self.tilt_compensation_max_rad < pi / 2.0:
             raise ValueError(
                 f"limits.tilt_compensation_max_rad = {self.tilt_compensation_max_rad}: must be in (0, pi/2)"
@@ -143,6 +148,22 @@ class LimitSettings:
         for rate in (*self.body_rate_max_rad_s, self.body_rate_change_max_rad_s2, self.thrust_rate_max_per_s):
             if not isfinite(rate) or rate <= 0.0:
                 raise ValueError(f"limits: rate limit {rate} must be positive and finite")
+
+    @property
+    def bounds(self) -> Bounds:
+        """What a scenario may ask for."""
+        return Bounds(
+            self.altitude_min_m,
+            self.altitude_max_m,
+            self.climb_rate_setpoint_max_m_s,
+            self.fence_radius_m,
+            self.fence_radius_m - self.fence_margin_m,
+        )
+
+    @property
+    def fence_margin_m(self) -> float:
+        """How far inside the fence a place must lie, m: what a vehicle may overshoot at the end of a move."""
+        return min(1.0, 0.1 * self.fence_radius_m)
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,6 +335,9 @@ class ServiceSettings:
             )
         check_scenario(self.scenario)
         self._check_altitudes()
+        problem = course_problem(self.scenario, self.limits.bounds, None)
+        if problem is not None:
+            raise ValueError(f"scenario {problem}")
         self._check_position()
 
     @property

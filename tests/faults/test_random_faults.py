@@ -1,16 +1,22 @@
-"""Any mixture of faults: no command that is not fit, none after release, and control that ends in time."""
+"""Any mixture of faults: no command that is not fit, none after release, and control that ends in time.
 
-from math import inf, isfinite, nan
+Each flight is a copy of one that is engaged already, and has up to three faults towards the daemon, one
+towards the vehicle, and two things that happen to the vehicle. What is judged is in
+`kffa_offboard.faults.check`.
+"""
+
+from math import inf, nan
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.faults.edit import decoded
 from kffa_offboard.faults.faults import (
     Corrupt,
     Delay,
     Duplicate,
+    Flood,
     Freeze,
     Lose,
     Offset,
@@ -18,15 +24,19 @@ from kffa_offboard.faults.faults import (
     ShiftClock,
     Thin,
 )
-from kffa_offboard.offboard import events
-from kffa_offboard.offboard.service import State
+from sim_vehicle.config_faults import FaultsSection
+from sim_vehicle.swing import Rope
 
-SENDING = (State.ENGAGING, State.ENGAGED, State.RELEASING)
 SAMPLES = ("ATTITUDE", "LOCAL_POSITION_NED")
+GROUPS = 16
+SECONDS = 1.3
+FAR, STEEP = 2.0, 0.3  # m, rad: how far a vehicle that is sound may get while control is kept
 
 kinds = st.sampled_from(
-    [(), ("ATTITUDE",), ("LOCAL_POSITION_NED",), SAMPLES, ("HEARTBEAT",), ("COMMAND_ACK",)]
+    [(), ("ATTITUDE",), ("LOCAL_POSITION_NED",), SAMPLES, ("HEARTBEAT",), ("COMMAND_ACK",), ("TIMESYNC",)]
 )
+starts = st.sampled_from([0.0, 0.1, 0.3, 0.5])
+durations = st.sampled_from([0.02, 0.1, 0.3, 0.6, inf])
 shares = st.sampled_from([0.02, 0.1, 0.3, 0.7, 1.0])
 bad = st.sampled_from([nan, inf, -inf, 1e30, -1e30, 3.0, -0.4, 100.0])
 fields = st.one_of(
@@ -36,28 +46,36 @@ fields = st.one_of(
 )
 
 
-def window(draw):
-    return draw(st.sampled_from([0.0, 0.9, 1.4, 1.6, 1.8])), draw(st.sampled_from([0.02, 0.1, 0.3, 0.6, inf]))
+def frames(system, *messages):
+    packer = mavlink.MAVLink(None, system, 1)
+    return tuple(bytes(message.pack(packer)) for message in messages)
+
+
+foreign = frames(77, mavlink.MAVLink_attitude_message(100, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+needless = frames(1, mavlink.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0))
+old = frames(1, mavlink.MAVLink_attitude_message(100, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
 @st.composite
 def faults(draw):
-    start, duration = window(draw)
-    common = {"start_s": start, "duration_s": duration, "share": draw(shares)}
+    common = {"start_s": draw(starts), "duration_s": draw(durations), "share": draw(shares)}
+    when = {key: common[key] for key in ("start_s", "duration_s")}
     match draw(
-        st.sampled_from(["lose", "delay", "copy", "flip", "thin", "freeze", "clock", "write", "jump"])
+        st.sampled_from(
+            ["lose", "delay", "copy", "flip", "thin", "freeze", "clock", "write", "jump", "flood"]
+        )
     ):
         case "lose":
             return Lose(**common, messages=draw(kinds))
         case "delay":
-            late, jitter = draw(st.sampled_from([0.02, 0.1, 0.3])), draw(st.sampled_from([0.0, 0.1]))
+            late, jitter = draw(st.sampled_from([0.02, 0.06, 0.1, 0.3])), draw(st.sampled_from([0.0, 0.1]))
             return Delay(**common, messages=draw(kinds), delay_s=late, jitter_s=jitter)
         case "copy":
             return Duplicate(**common, copies=3)
         case "flip":
             return Corrupt(**common, bits=draw(st.integers(1, 20)))
         case "thin":
-            return Thin(start, duration, SAMPLES, keep_every=draw(st.integers(2, 20)))
+            return Thin(**when, messages=SAMPLES, keep_every=draw(st.integers(2, 20)))
         case "freeze":
             return Freeze(**common, messages=draw(kinds))
         case "clock":
@@ -65,93 +83,117 @@ def faults(draw):
         case "write":
             message, name = draw(fields)
             return Overwrite(**common, messages=(message,), values={name: draw(bad)})
+        case "flood":
+            return Flood(**when, rate_hz=2000.0, frames=draw(st.sampled_from([foreign, needless, old])))
         case _:
             message, name = draw(fields)
             return Offset(**common, messages=(message,), values={name: draw(st.floats(-2.0, 2.0))})
 
 
-acts = st.sampled_from(
-    [
-        {},
-        {1.6: lambda vehicle: vehicle.firmware.set_custom_mode(5)},
-        {1.7: lambda vehicle: vehicle.firmware.disarm(True)},
-        {1.65: lambda vehicle: vehicle.set_load(6.73)},
-    ]
-)
+def breaking(kind, **numbers):
+    """Something breaks now."""
+
+    def act(vehicle):
+        now = vehicle.time_us * 1e-6
+        vehicle.plant._faults = FaultsSection(**{kind: ({"start_s": now, **numbers},)})
+        vehicle.plant._faulty = True
+
+    return act
 
 
-def assert_fit(flight):
-    """Every setpoint that left: a number, within limits, no faster than allowed."""
-    limits = flight.settings.limits
-    for _, data in flight.link.sent:
-        message = decoded(data)
-        if message.get_type() == "SET_ATTITUDE_TARGET":
-            rates = (message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate)
-            assert all(isfinite(number) for number in (message.thrust, *rates, *message.q))
-            assert limits.thrust_min - 1e-6 <= message.thrust <= limits.thrust_max + 1e-6
-            for rate, most in zip(rates, limits.body_rate_max_rad_s, strict=True):
-                assert abs(rate) <= most + 1e-6
-            assert message.type_mask in (7, 128)
+def hang(vehicle):
+    """4 kg on 2 m of rope, swinging."""
+    vehicle.plant._rope = Rope(2.0)
+    vehicle.set_load(4.0)
+    vehicle.plant._rope._state.velocity[0] += 1.0
 
 
-def assert_silent_when_released(flight):
-    """Setpoints leave only in the states that send; a slot's events are seen at the state after it."""
-    changes = dict(flight.states)
-    times = sorted(changes)
-    for time_us, _ in flight.targets:
-        before = [changes[at] for at in times if time_us - 10_000 <= at <= time_us + 10_000]
-        assert any(state in SENDING for state in before)
+def change_mode(vehicle):
+    vehicle.firmware.set_custom_mode(5 if vehicle.config.vehicle.personality == "ardupilot" else 3 << 16)
 
 
-def assert_ends_in_time(flight):
-    """In control, an attitude has come within the last 0.25 s and a heartbeat within the last 3 s."""
-    last = {events.AttitudeReceived: None, events.PositionReceived: None, events.HeartbeatReceived: None}
-    limits_us = dict(zip(last, (250_000, 250_000, 3_000_000), strict=True))
-    for time_us, item in flight.heard:
-        if isinstance(item, events.AttitudeTarget):
-            for kind, limit_us in limits_us.items():
-                assert last[kind] is not None and time_us - last[kind] <= limit_us + 10_000
-        if type(item) in last:
-            last[type(item)] = time_us
+SOUND = {  # what happens to a vehicle that can still be flown
+    "weak motor": breaking("weak_motor", motor=2, loss=0.3),
+    "battery sag": breaking("battery_sag", loss_per_s=0.1),
+    "gust": breaking("gust", duration_s=0.7, velocity_m_s=(0.0, -12.0, 0.0)),
+    "short of thrust": breaking("thrust_limit", duration_s=0.3, share=0.35),
+    "load": lambda vehicle: vehicle.set_load(6.73),
+    "drop": lambda vehicle: vehicle.set_load(0.0),
+    "swinging load": hang,
+}
+OTHERS = {
+    "no thrust": breaking("thrust_limit", duration_s=1.0, share=0.2),
+    "mode": change_mode,
+    "disarm": lambda vehicle: vehicle.firmware.disarm(True),
+}
+happenings = st.dictionaries(starts, st.sampled_from([*SOUND, *OTHERS]), max_size=2)
+personalities = st.sampled_from(["px4", "ardupilot"])
+loads = st.sampled_from([0.0, 5.0])
+down_faults, up_faults = st.lists(faults(), max_size=3), st.lists(faults(), max_size=1)
 
 
-def fly_and_check(fault_flight, down, up, act):
-    flight = fault_flight(
-        "ardupilot", down=tuple(down), up=tuple(up), acts=act, seconds=2.6, settle_s=0.2
-    ).fly()
-    assert_fit(flight)
-    assert_silent_when_released(flight)
-    assert_ends_in_time(flight)
-    held = [k for k, (_, state) in enumerate(flight.states) if state is State.ENGAGED]
-    assert all(flight.tilts[k] < 1.1 and abs(flight.heights[k] - 5.0) < 4.0 for k in held)
+def judge(flight, what):
+    assert flight.violations == []
+    if not set(what) & set(OTHERS):
+        assert all(flight.tilts[k] < STEEP for k in flight.held)
+        assert all(abs(flight.heights[k] - 5.0) < FAR for k in flight.held)
     if flight.released_s is not None:
-        reasons = ("failsafe: ", "control given up: ", "released: ")
-        assert any(text.startswith(reasons) for text in flight.texts)
-        assert any(reason in flight.status_texts for reason in reasons)
+        assert any(text.startswith(("failsafe: ", "control given up: ")) for text in flight.texts)
     assert len(flight.service._known.attitude_stream.arrivals) <= 1000
 
 
-def budget(examples):
-    return settings(
+def budget(number, examples):
+    """Seeded: the same flights every time."""
+    chosen = settings(
         max_examples=examples,
         deadline=None,
-        derandomize=examples < 1000,
+        database=None,
         suppress_health_check=list(HealthCheck),
+        phases=(
+            Phase.generate,
+        ),  # a failing flight is reported as it was found: making it smaller takes long
     )
+    return lambda test: seed(number)(chosen(test))
 
 
-mixtures = given(st.lists(faults(), min_size=1, max_size=3), st.lists(faults(), max_size=1), acts)
+def fly_mixtures(settled_flight, number, examples):
+    @budget(number, examples)
+    @given(personalities, loads, down_faults, up_faults, happenings)
+    def mixtures(personality, load, down, up, what):
+        acts = {at: {**SOUND, **OTHERS}[name] for at, name in what.items()}
+        flight = settled_flight(personality, load).fly_on(SECONDS, tuple(down), tuple(up), acts)
+        judge(flight, what.values())
+
+    mixtures()
 
 
-@budget(30)
-@mixtures
-def test_any_mixture_of_faults(fault_flight, down, up, act):
-    fly_and_check(fault_flight, down, up, act)
+def fly_from_the_start(fault_flight, number, examples):
+    @budget(number, examples)
+    @given(personalities, down_faults, up_faults)
+    def mixtures(personality, down, up):
+        for fault in (*down, *up):
+            fault.start_s *= 4.0  # also before engaging and while it goes on
+        flight = fault_flight(personality, down=tuple(down), up=tuple(up), seconds=2.4, settle_s=0.2).fly()
+        judge(flight, ())
+
+    mixtures()
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("group", range(GROUPS))
+def test_any_mixture_of_faults(settled_flight, group):
+    fly_mixtures(settled_flight, group, 13)
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("group", range(2))
+def test_any_mixture_of_faults_while_engaging(fault_flight, group):
+    fly_from_the_start(fault_flight, group, 15)
 
 
 @pytest.mark.long_faults
 @pytest.mark.timeout(0)
-@budget(3000)
-@mixtures
-def test_any_mixture_of_faults_for_long(fault_flight, down, up, act):
-    fly_and_check(fault_flight, down, up, act)
+@pytest.mark.parametrize("group", range(100, 150))
+def test_any_mixture_of_faults_for_long(settled_flight, fault_flight, group):
+    fly_mixtures(settled_flight, group, 50)
+    fly_from_the_start(fault_flight, group, 10)

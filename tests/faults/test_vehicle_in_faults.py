@@ -30,11 +30,15 @@ def push(vehicle):
 
 
 @pytest.mark.parametrize("name", CASES)
-def test_the_vehicle_stays_within_its_bounds(fault_flight, name):
+@pytest.mark.parametrize("way", ["in_process", "over_udp"])
+def test_the_vehicle_stays_within_its_bounds(fault_flight, name, way):
     changes, (lowest, highest), most = CASES[name]
     acts = {AT + 0.3: push} if name == "swinging-load" else {}
-    flight = fault_flight(vehicle_changes=changes, acts=acts, seconds=8.0 if name[0] == "t" else 6.0).fly()
+    seconds = 8.0 if name == "thrust-saturated" else 6.0
+    flight = fault_flight(vehicle_changes=changes, acts=acts, seconds=seconds)
+    flight = flight.fly() if way == "in_process" else flight.fly_over_udp()
     assert flight.engaged_s is not None and flight.released_s is None, flight.texts
+    assert flight.violations == []
     assert lowest < min(flight.heights) and max(flight.heights) < highest
     assert max(flight.tilts) < most
     assert abs(flight.heights[-1] - 5.0) < 0.3

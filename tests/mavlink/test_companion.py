@@ -100,18 +100,18 @@ def test_latency_is_the_samples_age_and_the_way_out(scripted, read):
         there_us = (asked_us + talk.time_us) // 2 - START_US + 10_000_000
         talk.hear(talk.autopilot, scripted.timesync(asked.ts1, there_us * 1000))
     talk.telemetry(0.1)
-    way_out_s = median(round_trips_s) / 2
+    way_out_s = median(round_trips_s[-3:]) / 2
     assert talk.signals[-1].latency_s == pytest.approx(LATE_US * 1e-6 + way_out_s, abs=1e-3)
 
 
-def test_clocks_are_compared_twice_a_second_and_never_unless_told(scripted, read, talk):
+def test_clocks_are_compared_five_times_a_second_and_never_unless_told(scripted, read, talk):
     talk.telemetry(3.0)
     assert talk.sent("TIMESYNC") == []
     comparing = Talk(scripted, read, compare_clocks=True)
     comparing.telemetry(3.0)
     requests = comparing.sent("TIMESYNC")
     assert [(message.tc1, message.ts1 // 1000 - START_US) for message in requests] == [
-        (0, 500_000 * k) for k in range(7)
+        (0, 200_000 * k) for k in range(16)
     ]
 
 

@@ -101,3 +101,16 @@ def test_a_heading_setpoint_crosses_half_a_turn_the_short_way():
 def test_tilt_compensation_is_bounded():
     assert tilt_factor(LIMITS, (0.3, 0.4, 1.0)) == pytest.approx(cos(0.3) * cos(0.4))
     assert tilt_factor(LIMITS, (1.5, 0.0, 0.0)) == pytest.approx(cos(LIMITS.tilt_compensation_max_rad))
+
+
+@given(st.lists(st.tuples(vectors, st.floats(0.0, 0.05)), min_size=2, max_size=20))
+def test_attitude_setpoints_change_no_faster_than_allowed_also_along_the_tilt_limit(wanted):
+    previous, bounds = None, LIMITS.body_rate_max_rad_s
+    for attitude, dt in wanted:
+        target = AttitudeTarget(0.4, attitude=attitude)
+        passed = check_target(LIMITS, target, previous, LEVEL, dt, True).target
+        assert hypot(*passed.attitude[:2]) <= LIMITS.tilt_max_rad + 1e-9
+        if previous is not None:
+            for new, old, bound in zip(passed.attitude, previous.attitude, bounds, strict=True):
+                assert abs((new - old + pi) % (2.0 * pi) - pi) <= bound * dt + 1e-9
+        previous = passed

@@ -9,6 +9,7 @@ from kffa_offboard.control import actuator
 from kffa_offboard.control.payload import PayloadParameters
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import ModeKind, PayloadReport, SetGripper
+from kffa_offboard.offboard.payload import Load, PayloadSample, _watch_changes, begin_awareness
 from kffa_offboard.offboard.payload_settings import PayloadSettings
 from kffa_offboard.offboard.release import plan_release
 from kffa_offboard.offboard.segments import Gripper, Hold, Land, Takeoff
@@ -318,3 +319,44 @@ def test_a_load_that_comes_while_the_first_estimate_settles_is_named_whole(fake)
     flight.vehicle.weight = LOADED
     flight.run(2.0)
     assert said(flight) in (["carrying 4.9 kg"], ["carrying 5.0 kg"], ["carrying 5.1 kg"])
+
+
+def changes_of(fake, changes, told=0.0):
+    """What is said about decided changes: (time [s], load after it, change)."""
+    made = payload_settings(fake)
+    state = replace(
+        begin_awareness(PayloadSample(0, 0.01, fake.hover, (0.0, 0.0, 0.0), 0.0, True, True)), told=told
+    )
+    said = []
+    mass = told
+    for k in range(1000):
+        change = next((change for at, _, change in changes if round(at * 100) == k), 0.0)
+        mass = next((after for at, after, _ in changes if round(at * 100) == k), mass)
+        sample = PayloadSample(10_000 * k, 0.01, fake.hover, (0.0, 0.0, 0.0), 0.0, True, True)
+        state, outputs = _watch_changes(made, state, Load(mass, 0.2), change, sample)
+        said += [(round(k * 0.01, 1), output.text) for output in outputs]
+    return said
+
+
+def test_a_drop_without_a_load_is_not_believed_nor_what_follows_it(fake):
+    """Thrust that swings on too slow a link: nothing is said until it has been quiet for 2 s."""
+    swing = [(0.0, -2.4, -2.4), (0.3, 1.2, 3.6), (0.6, -2.9, -4.1), (0.9, 18.0, 20.9), (1.2, 0.0, -18.0)]
+    assert changes_of(fake, swing) == []
+    assert changes_of(fake, [*swing, (1.5, 5.0, 5.0)]) == [(3.5, "carrying 5.0 kg")]
+    assert changes_of(fake, [(0.0, -2.0, -7.0), (0.3, 0.1, 2.1)], told=5.0) == [(2.3, "carrying no load")]
+
+
+def test_more_than_was_carried_is_not_dropped(fake):
+    assert changes_of(fake, [(1.0, 0.0, -6.6)], told=4.8)[0][1] == "carrying no load"
+    assert changes_of(fake, [(1.0, 0.0, -4.9)], told=4.8) == [(1.0, "dropped 4.9 kg")]
+
+
+def test_a_load_that_leaves_during_a_landing_is_announced(fake):
+    vehicle = fake.airborne(weight=LOADED, own_thrust=fake.hover * LOADED, position=8.0)
+    flight = fake.Lockstep(settings(fake, (Hold(2.0), Land(0.7))), vehicle).run_to(State.ENGAGED)
+    flight.run(20.0, lambda: flight.vehicle.position < 5.0)
+    flight.vehicle.weight = 1.0
+    flight.run(0.4)
+    assert said(flight) == ["carrying 5.0 kg", "dropped 5.0 kg"]
+    flight.run(20.0, lambda: flight.service.finished is not None)
+    assert flight.service.finished.successful and said(flight)[2:] == []

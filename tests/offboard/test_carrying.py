@@ -1,0 +1,34 @@
+"""The thrust that carries the vehicle, as it is left to the autopilot at the end."""
+
+from math import pi, sin
+
+import pytest
+
+from kffa_offboard.offboard.carrying import Carrying, follow
+
+
+def after(thrusts, dt=0.01):
+    state = None
+    for thrust in thrusts:
+        state = follow(state, thrust, dt)
+    return state
+
+
+def test_a_load_that_comes_or_goes_is_followed_within_a_second():
+    state = after([0.4] * 300 + [0.6] * 100)
+    assert not state.swings and state.thrust == pytest.approx(0.6, abs=0.01)
+    state = after([0.4] * 300 + [0.6] * 100 + [0.4] * 100)
+    assert not state.swings and state.thrust == pytest.approx(0.4, abs=0.01)
+
+
+@pytest.mark.parametrize("phase", [k * pi / 4.0 for k in range(8)])
+@pytest.mark.parametrize("omega", [5.0, 8.0])
+def test_in_a_swing_the_phase_of_the_last_setpoints_does_not_matter(phase, omega):
+    swing = [0.4 + 0.3 * sin(omega * 0.01 * k + phase) for k in range(500)]
+    state = after([0.4] * 300 + swing)
+    assert state.swings
+    assert state.thrust == pytest.approx(0.4, abs=0.035)
+
+
+def test_the_first_setpoint_is_all_that_is_known():
+    assert follow(None, 0.35, 0.01) == Carrying(0.35, 0.35)
