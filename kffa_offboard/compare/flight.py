@@ -26,7 +26,7 @@ from kffa_offboard.trials.processes import Listener, process
 WALL_LIMIT_S = 300.0
 """A trial that takes longer than this has failed."""
 
-BOOT_LIMIT_S = 60.0
+BOOT_LIMIT_S = 120.0
 """Until the firmware's first frame, and until the physics' first true state."""
 
 STILL_ARMED = "disarming was refused"

@@ -19,9 +19,15 @@ DROP_S = 28.0
 END_S = 36.0
 """When landing begins, in seconds since lift-off."""
 
-SENSORS_OF_ARDUCOPTER_S = 45.0
+SENSORS_OF_ARDUCOPTER_S = 50.0
 SENSORS_OF_PX4_S = 25.0
 """Simulated time after which the estimator has found itself, and the daemon starts."""
+
+SEED_SHIFT_S = 3.0
+"""How much later the daemon starts with each seed.
+
+A firmware's own simulated noise is not seeded and the same in each flight, so another stretch of it is taken.
+"""
 
 NORMAL_DELAY_S = 0.01
 """Of the link, there and back."""
@@ -39,7 +45,7 @@ class Conditions:
     offset_m : how far forward of the centre it hangs
     rate_hz : attitude and position telemetry
     delay_s : of the link between vehicle and daemon, half of it each way
-    seed : of the noise of sensors
+    seed : of the noise of sensors; the daemon starts later with each
     """
 
     load_kg: float = 5.0
@@ -47,6 +53,11 @@ class Conditions:
     rate_hz: float = 100.0
     delay_s: float = NORMAL_DELAY_S
     seed: int = 0
+
+
+def head_start_s(autopilot: AutopilotName, conditions: Conditions) -> float:
+    """Simulated time at which the daemon starts, s."""
+    return HEAD_START_S[autopilot] + SEED_SHIFT_S * conditions.seed
 
 
 @dataclass(frozen=True)

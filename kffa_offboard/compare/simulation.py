@@ -15,7 +15,7 @@ from typing import Any, Protocol, TypeAlias
 
 from kffa_offboard.compare import firmware
 from kffa_offboard.compare.bridge import bridge
-from kffa_offboard.compare.plan import DROP_S, HEAD_START_S, NORMAL_DELAY_S, PICKUP_S, AutopilotName, Trial
+from kffa_offboard.compare.plan import DROP_S, NORMAL_DELAY_S, PICKUP_S, AutopilotName, Trial, head_start_s
 from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.config import bundled
 from kffa_offboard.trials.metrics import FlightFailed
@@ -175,7 +175,8 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
     )
     url = f"udpin:127.0.0.1:{link_port}" if link is None else f"udpout:127.0.0.1:{link.daemon_port}"
     running = (physics, ("the firmware", child, log))
-    return Simulation(url, name.system_id(instance), truth, HEAD_START_S[setup.autopilot], running, link)
+    head_start = head_start_s(setup.autopilot, trial.conditions)
+    return Simulation(url, name.system_id(instance), truth, head_start, running, link)
 
 
 def _physics(

@@ -9,7 +9,7 @@ import pytest
 
 from kffa_offboard.compare.course import course, flown_steps
 from kffa_offboard.compare.flight import daemon_document
-from kffa_offboard.compare.plan import ComparePlan, Trial, trials
+from kffa_offboard.compare.plan import AutopilotName, ComparePlan, Conditions, Trial, head_start_s, trials
 from kffa_offboard.compare.simulation import Setup, Simulation
 from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.config import bundled, load
@@ -65,3 +65,9 @@ def test_a_bundled_configuration_survives_being_written_again() -> None:
 def test_changes_reach_into_tables_and_replace_arrays() -> None:
     base = {"a": {"x": 1, "y": [1, 2]}, "b": 2}
     assert merged(base, {"a": {"y": [3]}}) == {"a": {"x": 1, "y": [3]}, "b": 2}
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_each_seed_takes_another_stretch_of_the_firmwares_own_noise(autopilot: AutopilotName) -> None:
+    starts = [head_start_s(autopilot, Conditions(seed=seed)) for seed in range(3)]
+    assert starts[1] - starts[0] == starts[2] - starts[1] > 1.0
