@@ -109,7 +109,8 @@ def late(
     It is the round trip at least, of which half is an underestimate when commands alone come late.
     """
     law, observer = settings.controller.law, settings.controller.observer
-    latency_s = telemetry.latency_s(known, link, time_us)
+    arrived_us = known.attitude_stream.arrival_us  # silence is judged elsewhere
+    latency_s = telemetry.latency_s(known, link, time_us if arrived_us is None else arrived_us)
     if law is None or observer is None or link is None or isnan(latency_s):
         return None
     latency_s = max(latency_s, link.round_trip_s)
