@@ -47,7 +47,11 @@ ENDS = {  # fault, longest time until control is given up [s], reason
     "position-lost": (Lose(AT, messages=POSITION), 0.25, "no position for 0.25 s"),
     "attitude-lost": (Lose(AT, messages=ATTITUDE), 0.25, "no attitude for 0.25 s"),
     "heartbeat-lost": (Lose(AT, messages=HEARTBEAT), 3.0, "no heartbeat for 3 s"),
-    "late": (Delay(AT, delay_s=0.2), 0.45, "later than before"),
+    "late": (
+        Delay(AT, delay_s=0.2),
+        0.45,
+        "late",
+    ),  # "comes later than before", or TIMESYNC tells first: "latency"
     "very-late": (Delay(AT, delay_s=0.4), 0.25, "no attitude for 0.25 s"),
     "frozen": (Freeze(AT, messages=ATTITUDE + POSITION), 0.5, "stands still for 0.5 s"),
     "attitude-frozen": (Freeze(AT, messages=ATTITUDE), 0.5, "attitude stands still for 0.5 s"),
