@@ -23,7 +23,7 @@ from kffa_offboard.config import bundled
 from kffa_offboard.plot_style import BLUE, GREY, figure_to
 
 COUNTS = (1, 3, 10, 30, 100, 300, 1000, 3000, 10_000, 30_000, 100_000)
-STEPS = 20
+STEPS = 64
 SIDE_BY_SIDE = 10_000
 FIGURE = Path(__file__).parents[1] / "docs" / "images" / "scale.png"
 CONTROLLER = "kffa-ladrc"
@@ -32,8 +32,8 @@ CONTROLLER = "kffa-ladrc"
 def short(campaign: Campaign) -> Campaign:
     """The campaign with pick-up and drop within `STEPS`."""
     file = campaign.file
-    flight = file.flight.model_copy(update={"settle_s": 0.05})
-    random = file.random.model_copy(update={"drop_after_s": (0.05, 0.1)})
+    flight = file.flight.model_copy(update={"settle_s": 0.2})
+    random = file.random.model_copy(update={"drop_after_s": (0.1, 0.3)})
     return Campaign(
         file.model_copy(update={"flight": flight, "random": random}), campaign.services, campaign.control_s
     )
@@ -88,7 +88,7 @@ def draw(measured: dict[int, float]) -> None:
             label=f"proportional: {1e6 * per_flight / STEPS:.2f} µs a step of a flight",
         )  # fmt: skip
         axis.loglog(counts, times, color=BLUE, marker="o", markersize=4.5, label="measured, one core")
-        axis.set_title("20 steps (0.2 s) of a batch of flights: airframe, link, load, KFFA-LADRC")
+        axis.set_title("64 steps (0.64 s) of a batch of flights: airframe, link, load, KFFA-LADRC")
         axis.set_xlabel("flights")
         axis.set_ylabel("processor time [s]")
         axis.legend(loc="upper left")
@@ -103,7 +103,7 @@ def main() -> None:
     rows, measured = {}, {}
     steps_of(brief, WIDTH)  # warm
     for flights in COUNTS:
-        runs = 5 if flights <= 10_000 else 2
+        runs = 5 if flights <= 10_000 else 1
         wall, processor = min((steps_of(brief, flights) for _ in range(runs)), key=lambda times: times[1])
         measured[flights] = processor
         rows[f"{flights:,} flights"] = row(flights, STEPS, wall, processor)

@@ -159,9 +159,14 @@ def step(
         [front + left + rear + right, left - right, rear - front, YAW_MOMENT * (front - left + rear - right)]
     )
     first = derivatives(rigid, wrench, whole, wind)
-    second = derivatives(rigid + 0.5 * dt * first, wrench, whole, wind)
     if integrator == "midpoint":
-        return rigid + dt * second, target + keep * (motors - target)
+        first *= 0.5 * dt
+        first += rigid
+        second = derivatives(first, wrench, whole, wind)
+        second *= dt
+        second += rigid
+        return second, target + keep * (motors - target)
+    second = derivatives(rigid + 0.5 * dt * first, wrench, whole, wind)
     third = derivatives(rigid + 0.5 * dt * second, wrench, whole, wind)
     fourth = derivatives(rigid + dt * third, wrench, whole, wind)
     rigid = rigid + dt / 6.0 * (first + 2.0 * (second + third) + fourth)
