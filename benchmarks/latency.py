@@ -42,16 +42,21 @@ def timed(function: Callable[[], Any], times: int = 3000) -> list[float]:
     return result
 
 
-def control_step(parameters: controllers.ControllerParameters) -> list[float]:
-    """The law alone, four channels, all fresh."""
+def control_step(parameters: controllers.ControllerParameters, periods_s: list[float]) -> list[float]:
+    """The law alone, four channels, all fresh and noisy; steps of these lengths in random order."""
+    rng = np.random.default_rng(1)
     state = controllers.initial_state(parameters, np.zeros(4), np.array([0.0, 0.0, 0.0, 0.4]))
-    fresh = np.ones(4, dtype=bool)
-    inputs = controllers.ControllerInput(np.array([0.1, 0.0, 0.0, 1.0]), np.zeros(4), fresh, np.zeros(4))
+    fresh, wanted = np.ones(4, dtype=bool), np.array([0.1, 0.0, 0.0, 1.0])
+    noise = iter(rng.normal(0.0, 0.01, (6000, 2, 4)))
+    lengths = iter(rng.choice(periods_s, 6000).tolist())
 
     def step() -> None:
         nonlocal state
-        state, _ = controllers.step(parameters, state, inputs, 0.01)
+        measured, rate = next(noise)
+        inputs = controllers.ControllerInput(wanted, measured, fresh, rate)
+        state, _ = controllers.step(parameters, state, inputs, next(lengths))
 
+    timed(step)  # the covariance settles
     return timed(step)
 
 
@@ -123,7 +128,9 @@ def main() -> None:
     target = AttitudeTarget(0.4, body_rates=(0.01, 0.02, 0.03))
     rows: dict[str, dict[str, Any]] = {
         "numpy a + b, four numbers": percentiles(timed(lambda: four + four)),
-        "control step (KFFA-LADRC)": percentiles(control_step(parameters)),
+        "control step (KFFA-LADRC), every 10 ms": percentiles(control_step(parameters, [0.01])),
+        "control step, 9, 10 or 11 ms": percentiles(control_step(parameters, [0.009, 0.01, 0.011])),
+        "control step, 3, 4 or 5 ms": percentiles(control_step(parameters, [0.003, 0.004, 0.005])),
         "decode ATTITUDE": percentiles(timed(lambda: parser.parse(Datagram(0, frame, "vehicle")))),
         "pack SET_ATTITUDE_TARGET": percentiles(
             timed(lambda: component.pack(attitude_target(route, target, 1000)))

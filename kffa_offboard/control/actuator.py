@@ -77,17 +77,27 @@ def _window(
     held : share of the lag's first transient in the mean of its output
     decay : the same at the end
     """
+    delay, span, held, decay = _lag(parameters, ahead, dt, axes)
+    # A command acted from (age - delay) ago until the next one took over.
+    age = np.array(ages).reshape(-1, *(1,) * axes)
+    shares = np.minimum(np.maximum(age - delay, 0.0), span)
+    shares[:-1] -= shares[1:]
+    return shares / span, held, decay
+
+
+@remember
+def _lag(
+    parameters: ActuatorParameters, ahead: Array, dt: float | Array, axes: int
+) -> tuple[Array, Array, Array, Array]:
+    """Delay seen from `ahead` s later, `dt`, and `held` and `decay` of `_window`, all for so many axes."""
     like = np.empty((1,) * axes)
     delay, lag = column(parameters.delay, like) - column(ahead, like), column(parameters.lag, like)
-    dt = column(dt, like)
-    # A command acted from (age - delay) ago until the next one took over.
-    since = np.stack([np.clip(age - delay, 0.0, dt) for age in ages])
-    until = np.concatenate([since[1:], np.zeros_like(since[:1])])
+    span = column(dt, like)
     lagging = lag > 0.0
     safe_lag = np.where(lagging, lag, 1.0)
-    decay = np.where(lagging, np.exp(-dt / safe_lag), 0.0)
-    held = np.where(lagging, safe_lag / dt * (1.0 - decay), 0.0)
-    return (since - until) / dt, held, decay
+    decay = np.where(lagging, np.exp(-span / safe_lag), 0.0)
+    held = np.where(lagging, safe_lag / span * (1.0 - decay), 0.0)
+    return delay, span, held, decay
 
 
 def _mean_acting(state: ActuatorState, window: tuple[Array, Array, Array]) -> tuple[Array, Array]:

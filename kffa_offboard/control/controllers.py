@@ -19,17 +19,18 @@ a yaw reference across +-pi takes the short way and everything behind is linear.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
 
 from kffa_offboard.control import Array, BoolArray, actuator, column, fuzzy, kalman, ladrc, observer, pid
 from kffa_offboard.control import tracking_differentiator as td
-from kffa_offboard.control.memory import remember
 
 CHANNELS = ("roll", "pitch", "yaw", "altitude")
 ROLL, PITCH, YAW, ALTITUDE = range(4)
 
+_TURNS_PER_RADIAN = 0.5 / np.pi
 _SAME_MOMENT = 5e-3  # s; the step nearest to the moment takes it, with a telemetry of 100 Hz
 
 ControllerName = Literal["pid", "cascaded-pid", "wb-ladrc", "ladrc", "fa-ladrc", "kffa-ladrc"]
@@ -69,6 +70,11 @@ class ControllerParameters:
     law: ladrc.LawParameters | None = None
     pid: pid.PidParameters | None = None
     prediction: Array | None = None
+
+    @cached_property
+    def turn(self) -> Array:
+        """2 pi for angles, 0 for what does not wrap, (4,)."""
+        return np.where(self.angular, 2.0 * np.pi, 0.0)
 
 
 @dataclass(frozen=True)
@@ -133,16 +139,10 @@ class ControllerOutput:
     saturated: BoolArray
 
 
-def wrap_near(angle: Array, near: Array, angular: BoolArray) -> Array:
-    """Take that turn of `angle` which is nearest to `near`; channels that are no angles pass."""
-    (period,) = _periods(angular, angle.ndim)
-    return np.asarray(angle - period * np.rint((angle - near) / (2.0 * np.pi)))
-
-
-@remember
-def _periods(angular: BoolArray, axes: int) -> tuple[Array]:
-    """2 pi for angles, 0 for what does not wrap, to go with arrays of so many axes."""
-    return (column(np.where(angular, 2.0 * np.pi, 0.0), np.empty((1,) * axes)),)
+def wrap_near(angle: Array, near: Array, parameters: ControllerParameters) -> Array:
+    """Take that turn of `angle` ``(4[, N])`` which is nearest to `near`; channels that are no angles pass."""
+    turn = column(parameters.turn, angle)
+    return np.asarray(angle - turn * np.rint((angle - near) * _TURNS_PER_RADIAN))
 
 
 def initial_state(parameters: ControllerParameters, measurement: Array, command: Array) -> ControllerState:
@@ -254,7 +254,7 @@ def _estimate(
     state, acted = _advance_expected(parameters, state, acted, dt)
     predicted = observer.predict(parameters.model, state.observer, acted, dt)
     measurement = np.where(inputs.fresh, inputs.measurement, predicted.estimate)
-    measurement = wrap_near(measurement, predicted.estimate, parameters.angular)
+    measurement = wrap_near(measurement, predicted.estimate, parameters)
     filter_state = state.kalman
     filtered = measurement
     if parameters.kalman is not None and state.kalman is not None:
@@ -286,7 +286,7 @@ def _track(
     parameters: ControllerParameters, state: ControllerState, reference: Array, dt: float
 ) -> td.TrackingDifferentiatorState:
     """The reference as the law sees it, in the turn of the present one."""
-    near = wrap_near(reference, state.differentiator.position, parameters.angular)
+    near = wrap_near(reference, state.differentiator.position, parameters)
     if parameters.differentiator is None:
         return td.TrackingDifferentiatorState(near, np.zeros_like(near), np.zeros_like(near))
     return td.step(parameters.differentiator, state.differentiator, near, dt)
@@ -330,6 +330,21 @@ def step(
     )
 
 
+def prepare(
+    parameters: ControllerParameters, state: ControllerState, fresh: BoolArray, dt: float, *, with_rate: bool
+) -> None:
+    """Work out, in time left over, what the next `step` looks up if it is like the last: `dt`, `fresh`.
+
+    Nothing changes but the time that `step` takes: gain of the Kalman filter and weights of the queue depend
+    on no measurement (`memory.remember`).
+    """
+    queue, _ = actuator.step(parameters.actuator, state.actuator, dt)
+    if parameters.prediction is not None:
+        actuator.forecast(parameters.actuator, queue, parameters.prediction)
+    if parameters.kalman is not None and state.kalman is not None:
+        kalman.prepare(parameters.kalman, parameters.model, state.kalman, fresh, dt, with_rate=with_rate)
+
+
 def _ahead(parameters: ControllerParameters, state: ControllerState) -> observer.ObserverState:
     """The estimates at the moment when the next command will act (those under way are known).
 
@@ -357,8 +372,10 @@ def _adrc_command(
     law = parameters.law
     assert law is not None
     estimates = _ahead(parameters, state)
-    omega_c = np.zeros_like(estimates.estimate) + column(law.omega_c, estimates.estimate)
-    if parameters.fuzzy is not None:
+    omega_c = column(law.omega_c, estimates.estimate)
+    if parameters.fuzzy is None:
+        omega_c = omega_c + np.zeros_like(estimates.estimate)
+    else:
         omega_c = omega_c + fuzzy.bandwidth_correction(
             parameters.fuzzy, estimates.estimate - tracked.position, estimates.rate - tracked.rate
         )

@@ -95,16 +95,24 @@ def infer(table: Array, e: Array, ec: Array) -> Array:
 _SPACING = 2.0 * UNIVERSE / (SETS - 1)
 
 
+@remember
+def _patches(table: Array) -> tuple[Array]:
+    """Bilinear surface of each cell, (4, 7 * 7): corner, slopes down and along, twist; flat as the table."""
+    corner, below = table[:-1, :-1], table[1:, :-1]
+    right, across = table[:-1, 1:], table[1:, 1:]
+    patches = np.zeros((4, SETS, SETS))
+    patches[:, :-1, :-1] = [corner, below - corner, right - corner, across - below - right + corner]
+    return (patches.reshape(4, -1),)
+
+
 def _interpolate(table: Array, place: Array) -> Array:
     """Bilinear interpolation at `place` ``(2, 4[, N])``: row and column, counted from the table's middle."""
     place = np.minimum(np.maximum(place + SETS // 2, 0.0), SETS - 1.0)
     cell = np.minimum(place.astype(np.intp), SETS - 2)
     down, along = place - cell
-    corner = SETS * cell[0] + cell[1]
-    flat, rows = table.ravel(), np.array([corner, corner + SETS])
-    left, right = flat.take(rows), flat.take(rows + 1)
-    low, high = left + along * (right - left)
-    return np.asarray(low + down * (high - low))
+    row, across = cell
+    corner, per_row, per_column, twist = _patches(table)[0].take(SETS * row + across, axis=1)
+    return np.asarray(corner + along * per_column + down * (per_row + along * twist))
 
 
 @remember

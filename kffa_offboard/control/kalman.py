@@ -73,11 +73,11 @@ def _blank_filter(states: int, channels: int) -> KalmanFilter:
     return KalmanFilter(dim_x=states, dim_z=channels)
 
 
-def _filter(parameters: KalmanParameters, state: KalmanState) -> KalmanFilter:
-    """A filterpy filter holding `state`; filterpy rebinds its matrices and never writes into them."""
+def _filter(parameters: KalmanParameters, covariance: Array) -> KalmanFilter:
+    """A filterpy filter with this covariance; filterpy rebinds its matrices and never writes into them."""
     channels = len(parameters.measurement_variance)
     kalman = copy(_blank_filter(parameters.states * channels, channels))
-    kalman.x, kalman.P = state.mean, state.covariance
+    kalman.P = covariance
     return kalman
 
 
@@ -166,6 +166,44 @@ def _selection(
     return index, h, np.diag(variances)
 
 
+@remember
+def _gain(
+    parameters: KalmanParameters,
+    model: PlantModel,
+    covariance: Array,
+    fresh: BoolArray,
+    with_rate: bool,
+    dt: float,
+) -> tuple[Array, Array, NDArray[np.intp], Array]:
+    """Covariance after prediction and correction (eq 45, 46, 48), the gain, channels and H of `_selection`.
+
+    Measurements do not enter: with a steady telemetry all of it soon repeats itself.
+    """
+    f, _, q, _, _ = _model_matrices(parameters, model, dt)
+    index, h, r = _selection(parameters, fresh, with_rate)
+    kalman = _filter(parameters, covariance)
+    kalman.predict(F=f, Q=q)
+    if index.size:
+        kalman.update(0.0, R=r, H=h)
+    return np.asarray(kalman.P), np.asarray(kalman.K), index, h
+
+
+def prepare(
+    parameters: KalmanParameters,
+    model: PlantModel,
+    state: KalmanState,
+    fresh: BoolArray,
+    dt: float,
+    *,
+    with_rate: bool,
+) -> None:
+    """Work out the gain of a `step` from `state` over `dt` with such measurements, before they come."""
+    pattern = fresh.reshape(len(fresh), -1)[:, 0]
+    _gain(
+        parameters, model, state.covariance, pattern, with_rate and parameters.rate_variance is not None, dt
+    )
+
+
 def step(
     parameters: KalmanParameters,
     model: PlantModel,
@@ -196,16 +234,15 @@ def step(
         The new state and the filtered output ``(4[, N])``.
     """
     channels, n = len(measurement), parameters.states
-    kalman = _filter(parameters, state)
-    f, b, q, b0, stiffness = _model_matrices(parameters, model, dt)
-    acceleration = b0 * command.reshape(channels, -1) - stiffness * state.mean[::n]
-    kalman.predict(u=acceleration, B=b, F=f, Q=q)
     rates = None if parameters.rate_variance is None else measured_rate
-    index, h, r = _selection(parameters, fresh.reshape(channels, -1)[:, 0], rates is not None)
+    pattern = fresh.reshape(channels, -1)[:, 0]
+    covariance, gain, index, h = _gain(parameters, model, state.covariance, pattern, rates is not None, dt)
+    f, b, _, b0, stiffness = _model_matrices(parameters, model, dt)
+    acceleration = b0 * command.reshape(channels, -1) - stiffness * state.mean[::n]
+    mean = np.dot(f, state.mean) + np.dot(b, acceleration)
     if index.size:
         values = measurement.reshape(channels, -1)[index]
         if rates is not None:
             values = np.concatenate([values, rates.reshape(channels, -1)[index]])
-        kalman.update(values, R=r, H=h)
-    mean = np.asarray(kalman.x)
-    return KalmanState(mean, np.asarray(kalman.P)), mean[::n].reshape(measurement.shape)
+        mean = mean + np.dot(gain, values - np.dot(h, mean))
+    return KalmanState(mean, covariance), mean[::n].reshape(measurement.shape)

@@ -22,6 +22,11 @@ P = ParamSpec("P")
 R = TypeVar("R", bound=tuple[Any, ...])
 
 
+def _value(array: np.ndarray[Any, Any]) -> Any:
+    """What stands for an array in a key; a large one is like no other."""
+    return (array.tobytes(), array.shape, array.dtype.char) if array.size <= LARGEST else object()
+
+
 def remember(function: Callable[P, R]) -> Callable[P, R]:
     """Keep the last results of a pure function that returns a tuple, of arrays for instance.
 
@@ -32,20 +37,18 @@ def remember(function: Callable[P, R]) -> Callable[P, R]:
 
     @wraps(function)
     def recall(*args: P.args, **kwargs: P.kwargs) -> R:
-        key = tuple(
-            [
-                a if type(a) is not np.ndarray else (a.tobytes(), a.shape) if a.size <= LARGEST else object()
-                for a in args
-            ]
-        )
+        key = tuple([_value(a) if type(a) is np.ndarray else a for a in args])
         known = results.get(key)
         if known is not None:
             return known
         result = function(*args, **kwargs)
-        if all(np.size(value) <= LARGEST for value in result):
-            if len(results) >= REMEMBERED:
-                del results[next(iter(results))]
-            results[key] = result
+        # A key with a large array is never found again: that result is not kept either.
+        for value in (*args, *result):
+            if type(value) is np.ndarray and value.size > LARGEST:
+                return result
+        if len(results) >= REMEMBERED:
+            del results[next(iter(results))]
+        results[key] = result
         return result
 
     return recall

@@ -22,6 +22,7 @@ Differs from the paper in:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,11 @@ class ObserverParameters:
     """
 
     poles: NDArray[np.float64] | NDArray[np.complex128]
+
+    @cached_property
+    def fastest(self) -> Array:
+        """Decay rate of the fastest pole of each channel, (4,) or (4, N), 1/s."""
+        return np.asarray(np.abs(self.poles).max(axis=0))
 
     @classmethod
     def from_bandwidth(cls, omega_o: Array) -> ObserverParameters:

@@ -20,8 +20,9 @@ All arrays are scalars ``()`` for one vehicle or ``(N,)`` for a batch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import exp
+from typing import NamedTuple
 
 import numpy as np
 
@@ -91,8 +92,7 @@ class PayloadParameters:
         return GRAVITY / self.hover_thrust
 
 
-@dataclass(frozen=True)
-class PayloadState:
+class PayloadState(NamedTuple):
     """Estimates, sums and commands under way.
 
     Attributes
@@ -145,8 +145,7 @@ def initial_state(thrust: Array, rate: Array) -> PayloadState:
 def reset(state: PayloadState, rate: Array, load_ratio: Array, std: Array) -> PayloadState:
     """Begin anew with a climb rate [m/s] and load / empty mass, and the standard deviation of the ratio."""
     zero = np.zeros_like(rate)
-    return replace(
-        state,
+    return state._replace(
         rate=rate,
         ratio=1.0 / (1.0 + load_ratio),
         rate_variance=zero + 1.0,
@@ -161,7 +160,7 @@ def reset(state: PayloadState, rate: Array, load_ratio: Array, std: Array) -> Pa
 
 def send(state: PayloadState, thrust: Array) -> PayloadState:
     """Collective `thrust` goes out at this moment."""
-    return replace(state, thrust=actuator.send(state.thrust, thrust[None]))
+    return state._replace(thrust=actuator.send(state.thrust, thrust[None]))
 
 
 def load(parameters: PayloadParameters, state: PayloadState) -> tuple[Array, Array]:
@@ -175,13 +174,13 @@ def accept(parameters: PayloadParameters, state: PayloadState) -> PayloadState:
     """Take the present estimate for the settled load, without any suspicion."""
     zero = np.zeros_like(state.rate)
     settled = load(parameters, state)[0]
-    return replace(state, settled=settled, rising=zero, falling=zero, suspected=zero + np.inf)
+    return state._replace(settled=settled, rising=zero, falling=zero, suspected=zero + np.inf)
 
 
 def advance(parameters: PayloadParameters, state: PayloadState, dt: float) -> PayloadState:
     """Move the commands under way by `dt` s; that is all while the vehicle does not fly freely."""
     queue, acted = actuator.step(parameters.actuator, state.thrust, dt)
-    return replace(state, thrust=queue, acted=acted[0])
+    return state._replace(thrust=queue, acted=acted[0])
 
 
 def step(
@@ -217,8 +216,7 @@ def _predict(
     mistimed = together * (parameters.b0 * change * parameters.timing_uncertainty) ** 2
     drift = parameters.acceleration_intensity / GRAVITY**2 * dt
     covariance = state.covariance + gain * state.ratio_variance
-    return replace(
-        state,
+    return state._replace(
         thrust=queue,
         acted=acted,
         rate=state.rate + gain * state.ratio - GRAVITY * dt,
@@ -235,8 +233,7 @@ def _correct(parameters: PayloadParameters, state: PayloadState, rate: Array) ->
     innovation = rate - state.rate
     k_rate, k_ratio = state.rate_variance / total, state.covariance / total
     normal = innovation / np.sqrt(total)
-    return replace(
-        state,
+    return state._replace(
         rate=state.rate + k_rate * innovation,
         ratio=np.minimum(np.maximum(state.ratio + k_ratio * innovation, 0.2), 3.0),
         rate_variance=(1.0 - k_rate) * state.rate_variance,
@@ -262,13 +259,13 @@ def _decide(
     followed = state.settled + (1.0 - exp(-dt / detection.memory)) * change
     calm = np.isinf(suspected)
     if calm.all():
-        return replace(state, settled=followed), PayloadEstimate(mass, std, np.zeros_like(change))
+        return state._replace(settled=followed), PayloadEstimate(mass, std, np.zeros_like(change))
     noise = parameters.vehicle_mass / state.ratio**2 * np.sqrt(state.ratio_variance)
     clear = np.abs(change) > np.maximum(detection.minimum, detection.confidence * noise)
     decided = ~calm & (suspected >= detection.settle) & clear
     over: BoolArray = decided | (~calm & (suspected >= detection.patience))
     settled = np.where(decided, mass, np.where(calm, followed, state.settled))
-    state = replace(state, settled=settled, suspected=np.where(over, np.inf, suspected))
+    state = state._replace(settled=settled, suspected=np.where(over, np.inf, suspected))
     return state, PayloadEstimate(mass, std, np.where(decided, change, 0.0))
 
 
@@ -276,9 +273,7 @@ def _alarmed(
     parameters: PayloadParameters, state: PayloadState, alarm: BoolArray, measured: Array
 ) -> PayloadState:
     """Open the covariance where there is an alarm, so that the new mass is found at once."""
-    return replace(
-        state,
-        # The climb rate was dragged along by the wrong ratio: begin it anew, too.
+    return state._replace(  # The climb rate was dragged along by the wrong ratio: begin it anew, too.
         rate_variance=np.where(alarm, parameters.rate_variance, state.rate_variance),
         rate=np.where(alarm, measured, state.rate),
         covariance=np.where(alarm, 0.0, state.covariance),

@@ -2,21 +2,25 @@
 
 Differs from the paper in: the paper takes Euler rates for body rates (its "small angle" reading
 of eq 15); a rate setpoint for a real autopilot has to be a true body rate. Batch first: vectors
-are ``(3,)`` or ``(3, N)``, in the paper's axes (body x forward, y left, z up).
+are three numbers, ``(3,)`` or ``(3, N)``, in the paper's axes (body x forward, y left, z up).
 """
 
 from __future__ import annotations
 
+from typing import TypeAlias
+
 import numpy as np
 
 from kffa_offboard.control import Array
+
+Vector: TypeAlias = Array | tuple[float, float, float]
 
 # cos(pitch) is held this far from zero, so that a vehicle carried by hand nose-down gives large
 # rates instead of infinite ones. Nothing flies there: the tilt limit is far below.
 _COSINE_FLOOR = 1e-3
 
 
-def euler_rates_to_body_rates(euler: Array, euler_rates: Array) -> Array:
+def euler_rates_to_body_rates(euler: Vector, euler_rates: Vector) -> Array:
     """Body rates [rad/s] that turn the Euler angles `euler` [rad] at `euler_rates` [rad/s].
 
     Parameters
@@ -24,7 +28,8 @@ def euler_rates_to_body_rates(euler: Array, euler_rates: Array) -> Array:
     euler, euler_rates : (3[, N])
         Roll, pitch, yaw and their derivatives.
     """
-    (sin_roll, sin_pitch), (cos_roll, cos_pitch) = np.sin(euler[:2]), np.cos(euler[:2])
+    roll, pitch, _ = euler
+    sin_roll, cos_roll, sin_pitch, cos_pitch = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     roll_rate, pitch_rate, yaw_rate = euler_rates
     return np.array(
         [
@@ -35,12 +40,13 @@ def euler_rates_to_body_rates(euler: Array, euler_rates: Array) -> Array:
     )
 
 
-def body_rates_to_euler_rates(euler: Array, body_rates: Array) -> Array:
+def body_rates_to_euler_rates(euler: Vector, body_rates: Vector) -> Array:
     """Derivatives [rad/s] of the Euler angles `euler` [rad] under `body_rates` [rad/s]; both ``(3[, N])``.
 
     Singular at pitch = +-90 degrees; there cos(pitch) is held at 1e-3, so the answer stays finite.
     """
-    (sin_roll, sin_pitch), (cos_roll, cos_pitch) = np.sin(euler[:2]), np.cos(euler[:2])
+    roll, pitch, _ = euler
+    sin_roll, cos_roll, sin_pitch, cos_pitch = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     p, q, r = body_rates
     cos_pitch = np.copysign(np.maximum(np.abs(cos_pitch), _COSINE_FLOOR), cos_pitch)
     turning = sin_roll * q + cos_roll * r

@@ -9,6 +9,7 @@ Values are float32 on the wire; `time_usec` is exact. Reading them from a file: 
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -46,6 +47,7 @@ _SATURATED = _DT + 1
 _PLACE = _SATURATED + CHANNELS
 _SIZE = 58
 _LATENCY = _SIZE - 1
+_NAME = NAME.encode()
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,13 +96,13 @@ def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Any:
         data += block
     if signals.state not in STATE_NAMES:
         raise ValueError(f"signals.state {signals.state!r} is none of {', '.join(STATE_NAMES)}")
-    data += [STATE_NAMES.index(signals.state), signals.dt, *map(float, signals.saturated)]
+    data += [STATE_NAMES.index(signals.state), signals.dt, *signals.saturated]
     if signals.position_reference is not None:
         data += [1.0, *signals.position_reference]
-    data += [0.0] * (_LATENCY - len(data)) + [signals.latency_s]
-    with np.errstate(over="ignore"):  # what float32 cannot hold is logged as infinite
-        packable = np.asarray(data, dtype=np.float32).tolist()
-    return mavlink.MAVLink_debug_float_array_message(signals.time_us, NAME.encode(), array_id, packable)
+    data += [0.0] * (_LATENCY - len(data))
+    data.append(signals.latency_s)
+    packable = array("f", data)  # what float32 cannot hold is logged as infinite
+    return mavlink.MAVLink_debug_float_array_message(signals.time_us, _NAME, array_id, packable)
 
 
 def is_signals(message: Any, array_id: int = ARRAY_ID) -> bool:

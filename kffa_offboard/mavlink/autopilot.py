@@ -95,6 +95,8 @@ class Autopilot(ABC):
     def decode(self, message: Message) -> list[Event]:
         """Events of one message of the target."""
         match message.get_type():
+            case "ATTITUDE" | "LOCAL_POSITION_NED":
+                return self._telemetry.decode(message)
             case "HEARTBEAT":
                 return [self._heartbeat(message)]
             case "COMMAND_ACK":

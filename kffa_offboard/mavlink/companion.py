@@ -13,11 +13,13 @@ from kffa_offboard.mavlink.command_server import CommandServer
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.parameter_server import ParameterServer, Reply
 from kffa_offboard.mavlink.senders import Sender, is_allowed
-from kffa_offboard.mavlink.setpoints import SetpointRefused, read_setpoint
+from kffa_offboard.mavlink.setpoints import SETPOINTS, SetpointRefused, read_setpoint
 from kffa_offboard.mavlink.signal_streams import SignalStreams, ToArray
 from kffa_offboard.mavlink.timing_reports import TimingReports
 from kffa_offboard.offboard.events import Announce, Event, Output, ProcessReport, Severity, Signals, Trouble
 from kffa_offboard.offboard.tuning import Tuning
+
+_PARAMETER_REQUESTS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 
 MOST_REASONS = 20
 """So many different reasons for refusing setpoints are said in one run."""
@@ -66,8 +68,8 @@ class Companion:
 
     def next_deadline(self) -> int | None:
         """When `advance` must be called next; None if nothing is due by itself."""
-        due = (self._request_us, self._parameters.next_deadline())
-        return min((time_us for time_us in due if time_us is not None), default=None)
+        asking, listing = self._request_us, self._parameters.next_deadline()
+        return listing if asking is None or (listing is not None and listing < asking) else asking
 
     def advance(self, time_us: int) -> None:
         """Do what is due at `time_us`."""
@@ -83,11 +85,13 @@ class Companion:
             return self._command(time_us, message)
         if kind == "TIMESYNC":
             return self._timesync(time_us, message)
+        if kind in SETPOINTS:
+            return self._setpoint(message)
         if kind == "PING":
             self._ping(message)
-        elif kind.startswith("PARAM_"):
+        elif kind in _PARAMETER_REQUESTS:
             return self._parameter(time_us, kind, message)
-        return self._setpoint(message)
+        return []
 
     def note(self, output: Output) -> None:
         """Take note of what the service says."""
@@ -106,6 +110,8 @@ class Companion:
 
     def take(self) -> list[Reply]:
         """Replies to be sent now. Call it when the service was told everything that `receive` returned."""
+        if self._result is None and not self._replies:
+            return []
         if self._result is not None:
             done = self._commands.conclude(self._result)
             self._replies += [done] if done is not None else []
@@ -156,8 +162,6 @@ class Companion:
 
     def _parameter(self, time_us: int, kind: str, message: Message) -> list[Event]:
         """Requests to us; those for a list may be to all components of our system."""
-        if kind not in ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET"):
-            return []
         everybody = message.target_component == 0 and kind == "PARAM_REQUEST_LIST"
         for_us = everybody or message.target_component == self._route.own_component
         if message.target_system != self._route.own_system or not for_us:

@@ -28,10 +28,8 @@ class Route:
 
     def from_target(self, message: Message) -> bool:
         """True if the vehicle's autopilot itself sent `message`."""
-        return bool(
-            message.get_srcSystem() == self.target_system
-            and message.get_srcComponent() == self.target_component
-        )
+        header = message.get_header()
+        return bool(header.srcSystem == self.target_system and header.srcComponent == self.target_component)
 
     def addresses_us(self, system: int, component: int) -> bool:
         """True if an answer to `system`/`component` is ours; 0 is everybody (or an older MAVLink)."""
@@ -82,9 +80,9 @@ class FrameParser:
 
     def parse(self, datagram: Datagram) -> list[Message]:
         """Messages that are complete with this datagram, in order; damage is counted and left out."""
-        if self._keeps_frames_whole or datagram.source != self._source:
+        if self._parser.buf_len() and (self._keeps_frames_whole or datagram.source != self._source):
             self._parser = _new_parser()
-            self._source = datagram.source
+        self._source = datagram.source
         messages: list[Message] = []
         for message in self._parser.parse_buffer(datagram.data) or []:
             if message.get_type() == "BAD_DATA":

@@ -208,13 +208,14 @@ class Session:
     def handle(self, time_us: int, message: Message) -> None:
         """Do what is due before `time_us`, then record one message and tell the service what it says."""
         self.advance(time_us)
-        self._record(time_us, bytes(message.get_msgbuf()))
-        if self.route.from_target(message):
-            self.counters.telemetry_received += 1
+        if self._recorder is not None:
+            self._recorder.write(time_us, bytes(message.get_msgbuf()))
+        from_target = self.route.from_target(message)
+        self.counters.telemetry_received += from_target
         noticed = self._rivals.watch(time_us, message)
         if noticed is not None:
             self.tell(time_us, noticed)
-        for event in self._vehicle.decode(message):
+        for event in self._vehicle.decode(message) if from_target else ():
             if isinstance(event, HeartbeatReceived) and self._parameters is not None:
                 self._parameters.heartbeat(time_us, event)
                 self._follow_parameters(time_us)
@@ -227,7 +228,7 @@ class Session:
                     self.tell(time_us, waiting)
         for request in self._vehicle.requests():
             self._transmit(time_us, request)
-        if self._parameters is not None and self.route.from_target(message):
+        if self._parameters is not None and from_target:
             if message.get_type() in parameter_keeper.MESSAGES:
                 self._parameters.receive(time_us, message)
             self._follow_parameters(time_us)
@@ -259,10 +260,12 @@ class Session:
 
     def next_deadline(self) -> int | None:
         """When `advance` must be called next, us; None if nothing is due without an event."""
-        service = self.service.next_deadline() if self.service.finished is None else None
-        own = None if self._parameters is None else self._parameters.due_us()
-        dues = (service, own, self._companion.next_deadline())
-        return min((due for due in dues if due is not None), default=None)
+        first = self.service.next_deadline() if self.service.finished is None else None
+        keeper = None if self._parameters is None else self._parameters.due_us()
+        if first is None or (keeper is not None and keeper < first):
+            first = keeper
+        companion = self._companion.next_deadline()
+        return companion if first is None or (companion is not None and companion < first) else first
 
     @property
     def done(self) -> bool:

@@ -34,6 +34,9 @@ ATTITUDE_ONLY = (
 )
 """Type mask 71: the attitude alone; the height is held."""
 
+SETPOINTS = ("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET")
+"""Types of the messages that may be setpoints for us."""
+
 _UNIT_NORM_TOLERANCE = 0.01
 
 
@@ -44,7 +47,7 @@ class SetpointRefused(ValueError):
 def read_setpoint(route: Route, message: Message) -> PositionSetpoint | AttitudeSetpoint | None:
     """The setpoint in a message; None if it is none or not for us. Raises SetpointRefused."""
     kind = message.get_type()
-    if kind not in ("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET"):
+    if kind not in SETPOINTS:
         return None
     if (message.target_system, message.target_component) != (route.own_system, route.own_component):
         return None

@@ -6,6 +6,8 @@ is the service's to judge.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.mavlink import frames
@@ -89,42 +91,40 @@ class TelemetryDecoder:
     def __init__(self) -> None:
         self._clock = BootClock()
         self._texts = TextAssembler()
+        self._decoders: dict[str, Callable[[Message], list[Event]]] = {
+            "ATTITUDE": self._attitude,
+            "LOCAL_POSITION_NED": self._position,
+            "ATTITUDE_TARGET": self._target,
+            "VFR_HUD": throttle,
+            "EXTENDED_SYS_STATE": landed_state,
+            "SYS_STATUS": battery,
+            "STATUSTEXT": lambda message: list(self._texts.add(message)),
+        }
 
     def decode(self, message: Message) -> list[Event]:
         """Events of one message; none for types that do not concern control."""
-        match message.get_type():
-            case "ATTITUDE":
-                return [self._attitude(message)]
-            case "LOCAL_POSITION_NED":
-                return [self._position(message)]
-            case "ATTITUDE_TARGET":
-                return [self._target(message)]
-            case "VFR_HUD":
-                return [ThrottleReported(message.throttle / 100.0)]
-            case "EXTENDED_SYS_STATE":
-                return landed_state(message)
-            case "SYS_STATUS":
-                return battery(message)
-            case "STATUSTEXT":
-                return list(self._texts.add(message))
-            case _:
-                return []
+        decoder = self._decoders.get(message.get_type())
+        return [] if decoder is None else decoder(message)
 
-    def _attitude(self, message: Message) -> AttitudeReceived:
-        return AttitudeReceived(
-            self._clock.unwrap(message.time_boot_ms),
-            frames.euler_from_ned(message.roll, message.pitch, message.yaw),
-            frames.body_rates_from_frd(message.rollspeed, message.pitchspeed, message.yawspeed),
-        )
+    def _attitude(self, message: Message) -> list[Event]:
+        return [
+            AttitudeReceived(
+                self._clock.unwrap(message.time_boot_ms),
+                frames.euler_from_ned(message.roll, message.pitch, message.yaw),
+                frames.body_rates_from_frd(message.rollspeed, message.pitchspeed, message.yawspeed),
+            )
+        ]
 
-    def _position(self, message: Message) -> PositionReceived:
-        return PositionReceived(
-            self._clock.unwrap(message.time_boot_ms),
-            frames.vector_from_ned(message.x, message.y, message.z),
-            frames.vector_from_ned(message.vx, message.vy, message.vz),
-        )
+    def _position(self, message: Message) -> list[Event]:
+        return [
+            PositionReceived(
+                self._clock.unwrap(message.time_boot_ms),
+                frames.vector_from_ned(message.x, message.y, message.z),
+                frames.vector_from_ned(message.vx, message.vy, message.vz),
+            )
+        ]
 
-    def _target(self, message: Message) -> TargetReported:
+    def _target(self, message: Message) -> list[Event]:
         """Only what the type mask declares valid; a quaternion that is none (all zero) is left out too."""
         mask = message.type_mask
         w, x, y, z = message.q
@@ -138,12 +138,19 @@ class TelemetryDecoder:
                 message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate
             )
         has_thrust = not mask & mavlink.ATTITUDE_TARGET_TYPEMASK_THROTTLE_IGNORE
-        return TargetReported(
-            self._clock.unwrap(message.time_boot_ms),
-            message.thrust if has_thrust else None,
-            body_rates,
-            attitude,
-        )
+        return [
+            TargetReported(
+                self._clock.unwrap(message.time_boot_ms),
+                message.thrust if has_thrust else None,
+                body_rates,
+                attitude,
+            )
+        ]
+
+
+def throttle(message: Message) -> list[Event]:
+    """What the motors get."""
+    return [ThrottleReported(message.throttle / 100.0)]
 
 
 def battery(message: Message) -> list[Event]:

@@ -14,6 +14,7 @@ from kffa_offboard.mavlink.px4 import Px4
 from kffa_offboard.mavlink.telemetry import TelemetryDecoder
 from kffa_offboard.offboard.events import (
     Announce,
+    AttitudeTarget,
     Event,
     Firmware,
     Output,
@@ -80,6 +81,8 @@ class Vehicle:
         Raises EncodingError if it must not be sent, or cannot be yet.
         """
         match output:
+            case AttitudeTarget() if self._autopilot is not None:
+                return self._autopilot.encode(output, time_us)
             case Signals() | RequestRefused():
                 return []
             case OwnHeartbeat():

@@ -90,10 +90,10 @@ def slow(settings: ServiceSettings, known: Telemetry, time_us: int) -> str | Non
     observer = settings.controller.observer
     if observer is None:
         return None
-    bandwidths = np.abs(observer.poles).max(axis=0)
+    bandwidths = observer.fastest.tolist()
     for name, stream, bandwidth in (
-        ("attitude", known.attitude_stream, float(bandwidths.max())),
-        ("position", known.position_stream, float(bandwidths[3])),
+        ("attitude", known.attitude_stream, max(bandwidths)),
+        ("position", known.position_stream, bandwidths[3]),
     ):
         needed, seen = SAMPLES_PER_RADIAN * bandwidth, rate_hz(stream, time_us)
         if seen < needed:

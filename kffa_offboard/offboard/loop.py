@@ -8,7 +8,8 @@ shadow: the observer is then told what the autopilot itself applies.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import exp, nan
+from math import exp
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,9 @@ from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry, reported_target, reported_thrust
 
+_FRESH = np.array([True, True, True, True])
+_FRESH_ATTITUDE = np.array([True, True, True, False])
+_NOTHING = np.zeros(4)
 ROUNDING = 1e-9  # what a setpoint may change by on its way through body rates and back
 
 
@@ -39,8 +43,7 @@ class Blend:
     since_us: int
 
 
-@dataclass(frozen=True, slots=True)
-class LoopState:
+class LoopState(NamedTuple):
     """What one step leaves for the next.
 
     Attributes
@@ -74,11 +77,11 @@ class LoopState:
 
     def with_controller(self, controller: controllers.ControllerState) -> LoopState:
         """Another controller state."""
-        return replace(self, controller=controller)
+        return self._replace(controller=controller)
 
     def resent(self, time_us: int) -> LoopState:
         """The last setpoint was repeated at `time_us`."""
-        return replace(self, sent_us=time_us)
+        return self._replace(sent_us=time_us)
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,11 +112,31 @@ class Order:
 
 
 @dataclass(frozen=True, slots=True)
+class Trace:
+    """What a step leaves for those who watch; arrays ``(4,)``. `signals` puts it into plain numbers, later.
+
+    Attributes
+    ----------
+    place : m, the position ring's set point, see `Signals.position_reference`
+    command : what was sent (or, in shadow, what would have been)
+    applied : what the observer was told
+    """
+
+    time_us: int
+    dt: float
+    place: tuple[float, float] | None
+    measured: Array
+    output: controllers.ControllerOutput
+    command: Array
+    applied: Array
+
+
+@dataclass(frozen=True, slots=True)
 class LoopStep:
-    """Result of a step: what goes out (None in shadow or on a fault), the log, and the fault."""
+    """Result of a step: what goes out (None in shadow or on a fault), its trace, and the fault."""
 
     target: AttitudeTarget | None
-    signals: Signals
+    trace: Trace
     fault: str | None = None
 
 
@@ -134,18 +157,18 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
 
 def forget_sent(loop: LoopState) -> LoopState:
     """Nothing has been sent in the engagement that begins, or the one that was has ended."""
-    return replace(loop, sent=None, blend=None, carrying=None)
+    return loop._replace(sent=None, blend=None, carrying=None)
 
 
 def _measurement(known: Telemetry) -> Array:
     assert known.attitude is not None and known.position is not None
-    return np.array([*known.attitude.attitude, known.position.position[2]])
+    return np.array((*known.attitude.attitude, known.position.position[2]))
 
 
 def _measured_rate(known: Telemetry) -> Array:
     assert known.attitude is not None and known.position is not None
-    rates = body_rates_to_euler_rates(np.array(known.attitude.attitude), np.array(known.attitude.body_rates))
-    return np.array([*rates, known.position.velocity[2]])
+    rates = body_rates_to_euler_rates(known.attitude.attitude, known.attitude.body_rates)
+    return np.array((*rates, known.position.velocity[2]))
 
 
 def autopilot_command(settings: ServiceSettings, known: Telemetry, time_us: int, near: Array) -> Array:
@@ -185,21 +208,20 @@ def command_of(settings: ServiceSettings, attitude: Vector3, target: AttitudeTar
     """A setpoint in the controller's channels ``(4,)``; angles in the turn of `near` ``(4,)``."""
     vertical = target.thrust * tilt_factor(settings.limits, attitude)
     if target.body_rates is not None:
-        rates = body_rates_to_euler_rates(np.array(attitude), np.array(target.body_rates))
-        return np.array([*rates, vertical])
+        rates = body_rates_to_euler_rates(attitude, target.body_rates)
+        return np.array((*rates, vertical))
     assert target.attitude is not None
-    return controllers.wrap_near(np.array([*target.attitude, vertical]), near, settings.controller.angular)
+    return controllers.wrap_near(np.array([*target.attitude, vertical]), near, settings.controller)
 
 
 def target_of(settings: ServiceSettings, attitude: Vector3, command: Array) -> AttitudeTarget:
     """The setpoint for a command ``(4,)`` in the controller's channels."""
-    thrust = float(command[3]) / tilt_factor(settings.limits, attitude)
+    roll, pitch, yaw, vertical = command.tolist()
+    thrust = vertical / tilt_factor(settings.limits, attitude)
     if settings.output == "rates":
-        rates = euler_rates_to_body_rates(np.array(attitude), command[:3])
-        return AttitudeTarget(thrust, body_rates=(float(rates[0]), float(rates[1]), float(rates[2])))
-    return AttitudeTarget(
-        thrust, attitude=(float(command[0]), float(command[1]), float(wrap_angle(command[2])))
-    )
+        p, q, r = euler_rates_to_body_rates(attitude, (roll, pitch, yaw)).tolist()
+        return AttitudeTarget(thrust, body_rates=(p, q, r))
+    return AttitudeTarget(thrust, attitude=(roll, pitch, float(wrap_angle(yaw))))
 
 
 def level_target(settings: ServiceSettings, yaw: float, thrust: float) -> AttitudeTarget:
@@ -217,12 +239,11 @@ def step_loop(
     time_us: int,
     dt: float,
     *,
-    latency_s: float = nan,
     flown: Array | None = None,
 ) -> tuple[LoopState, LoopStep]:
     """One control step for the attitude sample that has just been accepted, `dt` s after the last one.
 
-    `latency_s` is for the log. `flown` ``(4,)`` is the command that really acted, where that is not the one
+    `flown` ``(4,)`` is the command that really acted, where that is not the one
     made here: a recorded flight replayed with other gains. The observer is told of it, because the samples
     answer to it; NaN where it is not known in this output, which takes what is measured.
     """
@@ -230,50 +251,46 @@ def step_loop(
     parameters, controller = settings.controller, loop.controller
     if order.directive.align:
         controller = controllers.align_reference(parameters, controller)
-    measured, times = _measurement(known), (dt, latency_s)
-    fresh = np.array([True, True, True, known.position.sample_time_us != loop.position_us])
+    measured, new_position = _measurement(known), known.position.sample_time_us != loop.position_us
     horizontal, reference = step_horizontal(
         settings.position,
         loop.horizontal,
         known,
         order.directive,
         order.controls and flown is None,
-        bool(fresh[3]),
+        new_position,
         dt,
     )
+    fresh = _FRESH if new_position else _FRESH_ATTITUDE
     inputs = controllers.ControllerInput(np.array(reference), measured, fresh, _measured_rate(known))
     controller, output = controllers.step(parameters, controller, inputs, dt)
-    stop = float(output.estimate[3] + settings.reference_lag_s * output.estimate_rate[3])
-    loop = replace(
-        loop,
+    altitude, climb_rate = float(output.estimate[3]), float(output.estimate_rate[3])
+    loop = loop._replace(
         position_us=known.position.sample_time_us,
-        altitude=float(output.estimate[3]),
-        hold_altitude=stop,
+        altitude=altitude,
+        hold_altitude=altitude + settings.reference_lag_s * climb_rate,
         horizontal=horizontal,
     )
     place = position_reference(horizontal, order.directive)
     near = output.estimate
     if flown is not None and not np.all(np.isfinite(flown)):
         flown = np.where(np.isfinite(flown), flown, _as_measured(settings, known, near))
-    own = np.zeros(4) if order.controls else autopilot_command(settings, known, time_us, near)
+    own = _NOTHING if order.controls else autopilot_command(settings, known, time_us, near)
     if not order.sending:
         own = own if flown is None else flown
         controller = controllers.with_applied(parameters, controller, own)
-        loop = replace(loop, controller=controller, vertical_thrust=float(own[3]))
-        return loop, LoopStep(
-            None, _signals(time_us, order, times, place, measured, output, output.command, own)
-        )
+        loop = loop._replace(controller=controller, vertical_thrust=float(own[3]))
+        return loop, LoopStep(None, Trace(time_us, dt, place, measured, output, output.command, own))
     loop, wanted, target = _wish(settings, loop, known, order, time_us, output.command, float(own[3]), near)
     since = max(dt, (time_us - loop.sent_us) * 1e-6)
     checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
     if checked.target is None:
-        signals = _signals(time_us, order, times, place, measured, output, wanted, wanted)
-        return replace(loop, controller=controller), LoopStep(None, signals, checked.fault)
+        trace = Trace(time_us, dt, place, measured, output, wanted, wanted)
+        return loop._replace(controller=controller), LoopStep(None, trace, checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
     controller = controllers.with_applied(parameters, controller, applied)
-    loop = replace(
-        loop,
+    loop = loop._replace(
         controller=controller,
         vertical_thrust=float(sent[3] if flown is None else flown[3]),
         carrying=follow(loop.carrying, checked.target.thrust, since),
@@ -282,9 +299,12 @@ def step_loop(
     )
     if sent is not wanted:
         output = replace(output, saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
-    return loop, LoopStep(
-        checked.target, _signals(time_us, order, times, place, measured, output, sent, applied)
-    )
+    return loop, LoopStep(checked.target, Trace(time_us, dt, place, measured, output, sent, applied))
+
+
+def prepare_next(settings: ServiceSettings, loop: LoopState, dt: float) -> None:
+    """Work out in time left over what the next step needs if it comes `dt` s later with all of telemetry."""
+    controllers.prepare(settings.controller, loop.controller, _FRESH, dt, with_rate=True)
 
 
 def _wish(
@@ -302,9 +322,9 @@ def _wish(
     attitude = known.attitude.attitude
     if order.directive.ground_thrust is not None:
         target = level_target(settings, order.directive.reference[2], order.directive.ground_thrust)
-        return replace(loop, blend=None), command_of(settings, attitude, target, near), target
+        return loop._replace(blend=None), command_of(settings, attitude, target, near), target
     if order.capture:
-        loop = replace(loop, blend=Blend(own_vertical - float(command[3]), time_us))
+        loop = loop._replace(blend=Blend(own_vertical - float(command[3]), time_us))
     if loop.blend is not None:
         age = (time_us - loop.blend.since_us) * 1e-6
         fading = loop.blend.offset * exp(-age / settings.sequence.blend_time_s)
@@ -312,30 +332,23 @@ def _wish(
     return loop, command, target_of(settings, attitude, command)
 
 
-def _signals(
-    time_us: int,
-    order: Order,
-    times: tuple[float, float],
-    place: tuple[float, float] | None,
-    measured: Array,
-    output: controllers.ControllerOutput,
-    command: Array,
-    applied: Array,
-) -> Signals:
+def signals(trace: Trace, state_name: str, latency_s: float) -> Signals:
+    """The trace of a step in plain numbers; what it does not know is the service's state and the latency."""
+    output = trace.output
     return Signals(
-        time_us=time_us,
-        state=order.state_name,
+        time_us=trace.time_us,
+        state=state_name,
         reference=tuple(output.reference.tolist()),
         reference_rate=tuple(output.reference_rate.tolist()),
-        measurement=tuple(measured.tolist()),
+        measurement=tuple(trace.measured.tolist()),
         estimate=tuple(output.estimate.tolist()),
         estimate_rate=tuple(output.estimate_rate.tolist()),
         disturbance=tuple(output.disturbance.tolist()),
         omega_c=tuple(output.omega_c.tolist()),
-        command=tuple(command.tolist()),
-        applied=tuple(applied.tolist()),
+        command=tuple(trace.command.tolist()),
+        applied=tuple(trace.applied.tolist()),
         saturated=tuple(output.saturated.tolist()),
-        dt=times[0],
-        latency_s=times[1],
-        position_reference=place,
+        dt=trace.dt,
+        latency_s=latency_s,
+        position_reference=trace.place,
     )

@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from kffa_offboard.offboard import events
-from kffa_offboard.offboard.events import Severity, Signals
+from kffa_offboard.offboard.events import Severity
 from kffa_offboard.offboard.guard import tilt_factor
-from kffa_offboard.offboard.loop import Order
+from kffa_offboard.offboard.loop import Order, Trace
 from kffa_offboard.offboard.payload import (
     Awareness,
     PayloadSample,
@@ -151,7 +151,7 @@ class PayloadSession(Session):
 
     # ----------------------------------------------------------------------------- load
 
-    def _watch_payload(self, time_us: int, signals: Signals, order: Order) -> None:
+    def _watch_payload(self, time_us: int, trace: Trace, order: Order) -> None:
         """Give the control step that was just made to payload awareness."""
         settings, known = self.settings.payload, self._known
         if settings is None:
@@ -160,8 +160,8 @@ class PayloadSession(Session):
         attitude = known.attitude.attitude
         sample = PayloadSample(
             time_us=time_us,
-            dt=signals.dt,
-            thrust=signals.applied[3] / tilt_factor(self.settings.limits, attitude),
+            dt=trace.dt,
+            thrust=float(trace.applied[3]) / tilt_factor(self.settings.limits, attitude),
             attitude=attitude,
             climb_rate=known.position.velocity[2],
             fresh=known.position.sample_time_us != self._position_us,

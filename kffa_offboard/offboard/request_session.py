@@ -119,7 +119,7 @@ class RequestSession(PayloadSession):
             self._external = replace(self._external, attitude=None)
             self._say(Severity.NOTICE, "no attitude setpoints: level")
         moved = external.hold(self._external, self._flight.scenario, self._captured, time_us)
-        self._flight = replace(self._flight, scenario=moved)
+        self._flight = self._flight._replace(scenario=moved)
 
     def _within_limits(self, time_us: int, directive: Directive) -> Directive:
         """The directive as the guard lets it be followed."""

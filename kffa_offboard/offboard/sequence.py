@@ -12,11 +12,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from enum import Enum
+from functools import lru_cache
 
 from kffa_offboard.offboard.events import HeartbeatReceived, ModeKind, Output, SetArmed, SetMode
 from kffa_offboard.offboard.settings import SequenceSettings
 
 
+@lru_cache(256)
 def microseconds(seconds: float) -> int:
     """Seconds as whole microseconds."""
     return round(seconds * 1e6)

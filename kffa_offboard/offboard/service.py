@@ -9,30 +9,31 @@ Rules, each kept in one place:
 - setpoints leave only through `_control` and `_resend`, and only in engaging, engaged, releasing;
 - before an event every deadline up to its time is run, each at its own nominal time; deadlines are
   not stored but follow from the state, so none can be forgotten or outlive its reason;
+- what a control step means for log and load is worked out when its setpoint is on the way: the first thing
+  due after it, at the time of the step;
 - after giving up control nothing is sent until somebody asks again (PX4 would return to OFFBOARD).
 
-`session.py` holds the other half, taking and giving back control; `payload_session.py` gripper and load;
-`request_session.py` what others ask for.
+`session.py` holds the other half, taking and giving back control; `control_session.py` the control step;
+`payload_session.py` gripper and load; `request_session.py` what others ask for.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from operator import itemgetter
 
 from kffa_offboard.control import Array
 from kffa_offboard.offboard import admission, events, telemetry, trust
+from kffa_offboard.offboard.control_session import ControlSession
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
-from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
+from kffa_offboard.offboard.flight import Phase
 from kffa_offboard.offboard.horizontal import astray, position_jump
-from kffa_offboard.offboard.loop import Order, begin_loop, step_loop
-from kffa_offboard.offboard.request_session import RequestSession
+from kffa_offboard.offboard.loop import begin_loop
 from kffa_offboard.offboard.sequence import (
-    EngagePhase,
     accept_retry,
     engagement_due,
     microseconds,
-    mode_granted,
     retry_due,
 )
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -43,7 +44,7 @@ __all__ = ["Finished", "Service", "State"]
 Deadline = tuple[int, Callable[[int], None]]
 
 
-class Service(RequestSession):
+class Service(ControlSession):
     """The one place that holds state between events; all values inside are frozen.
 
     Give it every event with its arrival time (microseconds of any clock that does not go back), call
@@ -55,7 +56,8 @@ class Service(RequestSession):
 
     def __init__(self, settings: ServiceSettings, *, flown: Mapping[int, Array] | None = None) -> None:
         super().__init__(settings)
-        self._flown: Mapping[int, Array] = {} if flown is None else flown
+        if flown is not None:
+            self._flown = flown
         self._earliest: Deadline | None = None
 
     def handle(self, time_us: int, event: Event) -> list[Output]:
@@ -69,6 +71,8 @@ class Service(RequestSession):
         self._run_deadlines(time_us)
         self._earliest = None
         self._dispatch(time_us, event)
+        if self.finished is not None and self._stepped is not None:
+            self._follow_step(time_us)
         return self._take_outputs()
 
     def advance(self, time_us: int) -> list[Output]:
@@ -107,13 +111,15 @@ class Service(RequestSession):
     def _next(self) -> Deadline:
         """The earliest deadline; looked for again after what may change it, an event or a deadline."""
         if self._earliest is None:
-            self._earliest = min(self._deadlines(), key=_due)
+            self._earliest = min(self._deadlines(), key=itemgetter(0))
         return self._earliest
 
     def _deadlines(self) -> list[Deadline]:
         """All that is due some time; of two at the same time the first in the list goes first."""
         settings, known = self.settings, self._known
         deadlines: list[Deadline] = []
+        if self._stepped is not None:
+            deadlines.append((self._stepped[1].trace.time_us, self._follow_step))
         if self.state in SENDING or self.state is State.READY:
             for stream, limit_s, silent in (
                 (known.attitude_stream, settings.telemetry.timeout_s, self._no_attitude),
@@ -318,106 +324,6 @@ class Service(RequestSession):
             self._retry = accept_retry(self._retry, time_us)
             if self.state is State.FAILSAFE:
                 self._finish(self._outcome)
-
-    # -------------------------------------------------------------------------- control
-
-    def _control(self, time_us: int, dt: float) -> None:
-        """One control step, in shadow or in earnest; the only source of new setpoints."""
-        assert self._loop is not None
-        order = self._order(time_us)
-        latency_s = telemetry.latency_s(self._known, self._link, time_us)
-        self._loop, result = step_loop(
-            self.settings,
-            self._loop,
-            self._known,
-            order,
-            time_us,
-            dt,
-            latency_s=latency_s,
-            flown=self._flown.get(time_us),
-        )
-        if order.sending and result.target is not None:
-            self._emit(result.target)
-        self._emit(result.signals)
-        if result.fault is not None:
-            self._fault(time_us, result.fault)
-            return
-        if order.sending:
-            for action in order.directive.gripper:
-                self._work_gripper(time_us, action, dt)
-        self._watch_payload(time_us, result.signals, order)
-        if self.state is State.ENGAGED and order.directive.ending is not None:
-            self._end_flight(time_us, order.directive.ending, order.directive.reason)
-
-    def _order(self, time_us: int) -> Order:
-        """What this step is to do in the present state."""
-        if self.state not in SENDING:
-            return Order(self._level_here(), self.state.value)
-        assert self._flight is not None
-        if self.state is State.ENGAGING:
-            return self._order_engaging(time_us)
-        grounded = self.state is State.RELEASING and self._flight.phase is not Phase.AIR
-        if grounded:
-            directive = self._idle()
-        else:
-            segments = self.settings.scenario if self.state is State.ENGAGED else ()
-            self._follow_setpoints(time_us)
-            self._flight, directive = step_flight(
-                self.settings, segments, self._flight, self._flight_sample(time_us)
-            )
-            directive = self._within_limits(time_us, self._with_attitude_setpoint(directive))
-        airborne = directive.ground_thrust is None
-        return Order(directive, self.state.value, sending=True, acting=True, airborne=airborne)
-
-    def _order_engaging(self, time_us: int) -> Order:
-        assert self._flight is not None and self._engagement is not None
-        name = self.state.value
-        if self._engagement.grounded:
-            return Order(self._idle(), name, sending=True, acting=True)
-        capture = self._engagement.phase is EngagePhase.STREAM or self._capture
-        self._capture = False
-        if capture:
-            here = self._level_here()
-            self._flight = begin_flight(time_us, True, here.reference[3], here.reference[2])
-        scenario = self._flight.scenario
-        reference = (0.0, 0.0, scenario.yaw, scenario.hold_altitude)
-        acting = mode_granted(self._engagement)
-        directive = Directive(reference, align=capture)
-        return Order(directive, name, sending=True, acting=acting, capture=capture, airborne=True)
-
-    def _level_here(self) -> Directive:
-        """Stay here: what the controller would want if it were engaged now."""
-        assert self._known.attitude is not None and self._loop is not None
-        return Directive((0.0, 0.0, self._known.attitude.attitude[2], self._loop.hold_altitude), align=True)
-
-    def _idle(self) -> Directive:
-        """On the ground, no thrust."""
-        assert self._flight is not None
-        scenario = self._flight.scenario
-        return Directive((0.0, 0.0, scenario.yaw, scenario.hold_altitude), ground_thrust=0.0, align=True)
-
-    def _flight_sample(self, time_us: int) -> FlightSample:
-        known, loop = self._known, self._loop
-        assert known.position is not None and loop is not None
-        powered_us = None
-        if known.armed_since_us is not None and known.heartbeat is not None:
-            flight = self.settings.flight
-            px4 = known.heartbeat.firmware == "px4"
-            spool_s = flight.px4_spool_time_s if px4 else flight.ardupilot_spool_time_s
-            powered_us = known.armed_since_us + microseconds(spool_s)
-        return FlightSample(
-            time_us=time_us,
-            altitude=loop.altitude,
-            climb_rate=known.position.velocity[2],
-            thrust=loop.sent.thrust if loop.sent is not None else 0.0,
-            vertical_thrust=loop.vertical_thrust,
-            on_ground=known.on_ground,
-            powered_us=powered_us,
-        )
-
-
-def _due(deadline: Deadline) -> int:
-    return deadline[0]
 
 
 def _answers(action: str, request: SetMode | SetArmed) -> bool:

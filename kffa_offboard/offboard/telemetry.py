@@ -8,8 +8,10 @@ samples count as arrived.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from bisect import bisect_right
+from dataclasses import dataclass
 from math import cos, isfinite, nan, pi
+from typing import NamedTuple
 
 from kffa_offboard.offboard.events import (
     AttitudeReceived,
@@ -26,8 +28,7 @@ _WINDOW_US = 1_000_000  # over which rates are measured
 LONGEST_LATENCY_S = 10.0
 
 
-@dataclass(frozen=True, slots=True)
-class Stream:
+class Stream(NamedTuple):
     """Arrival of one kind of sample.
 
     Attributes
@@ -46,14 +47,13 @@ class Stream:
     dropped: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Telemetry:
+class Telemetry(NamedTuple):
     """The last of everything, and since when it has been flowing without a break."""
 
     attitude: AttitudeReceived | None = None
     position: PositionReceived | None = None
-    attitude_stream: Stream = field(default_factory=Stream)
-    position_stream: Stream = field(default_factory=Stream)
+    attitude_stream: Stream = Stream()
+    position_stream: Stream = Stream()
     heartbeat: HeartbeatReceived | None = None
     heartbeat_us: int = 0
     armed_since_us: int | None = None
@@ -75,16 +75,17 @@ class Sample:
     fault: str | None = None
 
 
+_FIRST = Sample(True)
+
+
 def rate_hz(stream: Stream, now_us: int) -> float:
     """Accepted samples in the second before `now_us`."""
-    return float(sum(1 for arrival in stream.arrivals if arrival > now_us - _WINDOW_US))
+    return float(len(stream.arrivals) - bisect_right(stream.arrivals, now_us - _WINDOW_US))
 
 
 def _accept(stream: Stream, sample_us: int, arrival_us: int) -> Stream:
-    arrivals, first = stream.arrivals, 0
-    while first < len(arrivals) and arrivals[first] <= arrival_us - _WINDOW_US:
-        first += 1
-    return Stream(sample_us, arrival_us, (*arrivals[first:], arrival_us), 0, stream.dropped)
+    first = bisect_right(stream.arrivals, arrival_us - _WINDOW_US)
+    return Stream(sample_us, arrival_us, (*stream.arrivals[first:], arrival_us), 0, stream.dropped)
 
 
 def _sample(
@@ -92,10 +93,10 @@ def _sample(
 ) -> tuple[Stream, Sample]:
     """Accept a sample into its stream if its clock advances."""
     if stream.sample_us is None:
-        return _accept(stream, sample_us, arrival_us), Sample(True)
+        return _accept(stream, sample_us, arrival_us), _FIRST
     dt = (sample_us - stream.sample_us) * 1e-6
     if dt <= 0.0:
-        stream = replace(stream, repeats=stream.repeats + 1, dropped=stream.dropped + 1)
+        stream = stream._replace(repeats=stream.repeats + 1, dropped=stream.dropped + 1)
         if stream.repeats > settings.repeated_samples_max:
             return stream, Sample(False, fault=f"{stream.repeats} samples with a standing clock")
         return stream, Sample(False)
@@ -111,7 +112,8 @@ def _turn(angle: float) -> float:
 def _attitude_fault(
     limits: LimitSettings, last: AttitudeReceived, new: AttitudeReceived, dt: float
 ) -> str | None:
-    jump = max(abs(_turn(b - a)) for a, b in zip(last.attitude, new.attitude, strict=True))
+    (roll, pitch, yaw), (new_roll, new_pitch, new_yaw) = last.attitude, new.attitude
+    jump = max(abs(_turn(new_roll - roll)), abs(_turn(new_pitch - pitch)), abs(_turn(new_yaw - yaw)))
     allowed = limits.attitude_jump_rad + limits.attitude_rate_max_rad_s * dt
     if jump > allowed:
         return f"attitude jumped {jump:.2f} rad, {allowed:.2f} possible"
@@ -127,7 +129,7 @@ def receive_attitude(
 ) -> tuple[Telemetry, Sample]:
     """Take in one attitude sample."""
     if not all(map(isfinite, (*event.attitude, *event.body_rates))):
-        return replace(known, invalid=known.invalid + 1), Sample(False, fault="attitude is not finite")
+        return known._replace(invalid=known.invalid + 1), Sample(False, fault="attitude is not finite")
     stream, sample = _sample(
         settings, known.attitude_stream, event.sample_time_us, time_us, settings.timeout_s
     )
@@ -137,7 +139,7 @@ def receive_attitude(
             return known, Sample(False, fault=fault)
     steady_us = _steady_since(settings, known, time_us)
     newest = event if sample.accepted else known.attitude
-    return replace(known, attitude=newest, attitude_stream=stream, steady_since_us=steady_us), sample
+    return known._replace(attitude=newest, attitude_stream=stream, steady_since_us=steady_us), sample
 
 
 def receive_position(
@@ -149,7 +151,7 @@ def receive_position(
 ) -> tuple[Telemetry, Sample]:
     """Take in one position sample."""
     if not all(map(isfinite, (*event.position, *event.velocity))):
-        return replace(known, invalid=known.invalid + 1), Sample(False, fault="position is not finite")
+        return known._replace(invalid=known.invalid + 1), Sample(False, fault="position is not finite")
     stream, sample = _sample(
         settings, known.position_stream, event.sample_time_us, time_us, settings.position_timeout_s
     )
@@ -160,7 +162,7 @@ def receive_position(
             return known, Sample(False, fault=f"altitude jumped {jump:.2f} m, {allowed:.2f} possible")
     steady_us = _steady_since(settings, known, time_us)
     newest = event if sample.accepted else known.position
-    return replace(known, position=newest, position_stream=stream, steady_since_us=steady_us), sample
+    return known._replace(position=newest, position_stream=stream, steady_since_us=steady_us), sample
 
 
 def _steady_since(settings: TelemetrySettings, known: Telemetry, time_us: int) -> int | None:
@@ -177,8 +179,7 @@ def _steady_since(settings: TelemetrySettings, known: Telemetry, time_us: int) -
 
 def forget_samples(known: Telemetry) -> Telemetry:
     """Begin anew after a fault outside flight; counts and everything but the samples stay."""
-    return replace(
-        known,
+    return known._replace(
         attitude=None,
         position=None,
         attitude_stream=Stream(dropped=known.attitude_stream.dropped),
@@ -189,19 +190,19 @@ def forget_samples(known: Telemetry) -> Telemetry:
 
 def forget_heartbeat(known: Telemetry) -> Telemetry:
     """The autopilot is silent: mode and arming state are unknown."""
-    return replace(known, heartbeat=None, armed_since_us=None)
+    return known._replace(heartbeat=None, armed_since_us=None)
 
 
 def receive_landed(known: Telemetry, event: LandedStateReported) -> Telemetry:
     """Take in the landed state."""
-    return replace(known, on_ground=event.on_ground)
+    return known._replace(on_ground=event.on_ground)
 
 
 def receive_heartbeat(known: Telemetry, time_us: int, event: HeartbeatReceived) -> Telemetry:
     """Take in a heartbeat; notes since when the vehicle is armed."""
     since = known.armed_since_us if known.armed_since_us is not None else time_us
-    return replace(
-        known, heartbeat=event, heartbeat_us=time_us, armed_since_us=since if event.armed else None
+    return known._replace(
+        heartbeat=event, heartbeat_us=time_us, armed_since_us=since if event.armed else None
     )
 
 
@@ -214,14 +215,14 @@ def receive_target(known: Telemetry, time_us: int, event: TargetReported) -> Tel
     attitude = event.attitude if event.attitude is not None and all(map(isfinite, event.attitude)) else None
     repaired = TargetReported(event.sample_time_us, thrust, rates, attitude)
     invalid = known.invalid + (0 if repaired == event else 1)
-    return replace(known, target=repaired, target_us=time_us, invalid=invalid)
+    return known._replace(target=repaired, target_us=time_us, invalid=invalid)
 
 
 def receive_throttle(known: Telemetry, time_us: int, event: ThrottleReported) -> Telemetry:
     """Take in the throttle; one that is not finite is counted and ignored."""
     if not isfinite(event.throttle):
-        return replace(known, invalid=known.invalid + 1)
-    return replace(known, throttle=event.throttle, throttle_us=time_us)
+        return known._replace(invalid=known.invalid + 1)
+    return known._replace(throttle=event.throttle, throttle_us=time_us)
 
 
 def reported_target(settings: TelemetrySettings, known: Telemetry, time_us: int) -> TargetReported | None:

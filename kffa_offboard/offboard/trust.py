@@ -12,8 +12,9 @@ Pure functions over a frozen `Trust`; a fault is a line for people.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import cos, exp, hypot, sin, tan
+from typing import NamedTuple
 
 from kffa_offboard.offboard.events import AttitudeReceived, PositionReceived, Vector3
 from kffa_offboard.offboard.settings import LimitSettings, TelemetrySettings
@@ -39,8 +40,7 @@ class Still:
     since_us: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Delay:
+class Delay(NamedTuple):
     """Arrival time less sample time, us: smallest of this and of the former window; since when late."""
 
     window_us: int | None = None
@@ -49,8 +49,7 @@ class Delay:
     late_since_us: int | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Trust:
+class Trust(NamedTuple):
     """What is remembered of telemetry for judging it.
 
     Attributes
@@ -80,13 +79,13 @@ def watch_attitude(
     flying: bool,
 ) -> tuple[Trust, str | None]:
     """Take in an accepted attitude; `flying`: in our hands and in the air."""
-    fastest = max(abs(rate) for rate in event.body_rates)
+    fastest = max(map(abs, event.body_rates))
     if fastest > limits.attitude_rate_max_rad_s:
         return trust, f"body rate {fastest:.3g} rad/s, {limits.attitude_rate_max_rad_s:g} possible"
     delay, fault = _follow_delay(settings, trust.delay, time_us, event.sample_time_us)
     still = _stand_still(trust.still_attitude, (*event.attitude, *event.body_rates), time_us)
     mismatch = _angle_mismatch(trust, event)
-    trust = replace(trust, attitude=event, delay=delay, still_attitude=still, angle_mismatch=mismatch)
+    trust = trust._replace(attitude=event, delay=delay, still_attitude=still, angle_mismatch=mismatch)
     if fault is not None:
         return trust, fault
     if flying and time_us - still.since_us > round(settings.frozen_time_s * 1e6):
@@ -110,7 +109,7 @@ def watch_position(
         return trust, f"climb rate {climb_rate:.3g} m/s, {limits.climb_rate_max_m_s:g} allowed"
     still = _stand_still(trust.still_position, (*event.position, *event.velocity), time_us)
     mismatch = _height_mismatch(trust, event)
-    trust = replace(trust, position=event, still_position=still, height_mismatch=mismatch)
+    trust = trust._replace(position=event, still_position=still, height_mismatch=mismatch)
     if flying and time_us - still.since_us > round(settings.frozen_time_s * 1e6):
         return trust, f"position stands still for {settings.frozen_time_s:g} s"
     if abs(mismatch) > HEIGHT_MISMATCH_M:
@@ -135,16 +134,17 @@ def _follow_delay(
         fault = None
         if time_us - since_us >= round(settings.timeout_s * 1e6):
             fault = f"attitude comes {excess_us * 1e-6:.2f} s later than before"
-        return replace(state, late_since_us=since_us), fault
+        return state._replace(late_since_us=since_us), fault
     if time_us - state.window_us >= DELAY_WINDOW_US:
         return Delay(time_us, delay_us, state.smallest_us), None
-    return replace(state, smallest_us=min(state.smallest_us, delay_us), late_since_us=None), None
+    return state._replace(smallest_us=min(state.smallest_us, delay_us), late_since_us=None), None
 
 
 def _euler_rates(event: AttitudeReceived) -> tuple[float, float]:
     """Rates of roll and pitch, rad/s (eq 6 solved for them)."""
     (roll, pitch, _), (p, q, r) = event.attitude, event.body_rates
-    return p + tan(pitch) * (q * sin(roll) + r * cos(roll)), q * cos(roll) - r * sin(roll)
+    sine, cosine = sin(roll), cos(roll)
+    return p + tan(pitch) * (q * sine + r * cosine), q * cosine - r * sine
 
 
 def _angle_mismatch(trust: Trust, event: AttitudeReceived) -> tuple[float, float]:
@@ -153,14 +153,11 @@ def _angle_mismatch(trust: Trust, event: AttitudeReceived) -> tuple[float, float
         return (0.0, 0.0)
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
     keep, before, now = exp(-dt / ANGLE_MEMORY_S), _euler_rates(last), _euler_rates(event)
-    roll, pitch = (
-        keep * trust.angle_mismatch[k]
-        + event.attitude[k]
-        - last.attitude[k]
-        - 0.5 * dt * (before[k] + now[k])
-        for k in (0, 1)
+    moved_roll, moved_pitch = event.attitude[0] - last.attitude[0], event.attitude[1] - last.attitude[1]
+    return (
+        keep * trust.angle_mismatch[0] + moved_roll - 0.5 * dt * (before[0] + now[0]),
+        keep * trust.angle_mismatch[1] + moved_pitch - 0.5 * dt * (before[1] + now[1]),
     )
-    return (roll, pitch)
 
 
 def _tilt(attitude: Vector3) -> float:

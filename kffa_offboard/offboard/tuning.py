@@ -62,8 +62,8 @@ def adopt(loop: LoopState | None, before: ServiceSettings, after: ServiceSetting
         raise ValueError("what is commanded cannot be changed in flight")
     if loop is None:
         return None
-    loop = replace(loop, controller=retuned(before.controller, after.controller, loop.controller))
+    loop = loop._replace(controller=retuned(before.controller, after.controller, loop.controller))
     if loop.horizontal is None or before.position is None or after.position is None:
         return loop
     rings = before.position.ring.controller, after.position.ring.controller
-    return replace(loop, horizontal=replace(loop.horizontal, ring=retuned(*rings, loop.horizontal.ring)))
+    return loop._replace(horizontal=replace(loop.horizontal, ring=retuned(*rings, loop.horizontal.ring)))

@@ -206,6 +206,7 @@ class Lockstep:
         self.altitudes.append(self.vehicle.position)
         for event in self._telemetry():
             self.give(event)
+        self._take(ending, self.service.advance(ending))  # what follows the last control step
 
     def _telemetry(self):
         vehicle, now = self.vehicle, self.time_us

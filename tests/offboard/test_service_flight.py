@@ -344,3 +344,24 @@ def test_releasing_when_nothing_is_held_finishes_at_once(fake):
     assert not flight.sent(AttitudeTarget)
     flight.give(events.EngageRequested())
     assert flight.texts[-1] == "not engaged: finished; start the daemon again"
+
+
+def test_a_setpoint_leaves_before_what_only_the_log_and_people_want(fake):
+    flight = fake.Lockstep(fake.settings(), fake.airborne()).run_to(State.ENGAGED)
+    flight.run(0.5)
+    service, now = flight.service, flight.time_us + 10_000
+    service.advance(now)
+    sample = events.AttitudeReceived(now, tuple(flight.vehicle.attitude), (1e-9, 0.0, 0.0))
+    assert [type(output) for output in service.handle(now, sample)] == [AttitudeTarget]
+    assert service.next_deadline() == now
+    (log,) = (output for output in service.advance(now) if isinstance(output, events.Signals))
+    assert log.time_us == now
+    assert service.next_deadline() > now
+
+
+def test_the_last_step_of_a_flight_is_in_the_log(fake):
+    flight = fake.Lockstep(fake.settings())
+    flight.run(60.0, lambda: flight.service.finished is not None)
+    steps = [time for time, _ in flight.sent(events.Signals)]
+    assert flight.service.finished.successful
+    assert flight.sent(AttitudeTarget)[-1][0] in steps
