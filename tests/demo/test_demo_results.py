@@ -46,6 +46,7 @@ def flight(tmp_path: Path) -> DemoFlight:
         zero,
         channels > 0.0,
         zero,
+        channels[:, :2],
     )
     plan = FlightPlan(tmp_path, "px4", "rates", "kffa-ladrc", 7, lockstep=True)
     return DemoFlight(plan, FlightSummary(12345, 4321), truth, METRICS, Recording(time, signals))

@@ -23,6 +23,8 @@ CONFIGS = sorted(bundled("demo-px4.toml").parent.glob("*.toml"))
 
 def kind_of(path):
     document = tomllib.loads(path.read_text())
+    if "random" in document:
+        return "other"  # a campaign flies in this process alone
     if "vehicle" in document or "backend" in document:
         return "vehicle"
     return "daemon" if "control" in document and "link" in document else "other"
