@@ -56,7 +56,7 @@ def refusal(
         telemetry.not_ready(settings.telemetry, known, time_us)
         or unsettled(known, loop)
         or slow(settings, known, time_us)
-        or late(settings, known, link, time_us, LATENCY_TO_ENGAGE)
+        or late(settings, telemetry.latency_on_arrival_s(known, link, time_us), link, LATENCY_TO_ENGAGE)
         or empty(settings.limits, battery)
     )
 
@@ -102,15 +102,13 @@ def slow(settings: ServiceSettings, known: Telemetry, time_us: int) -> str | Non
 
 
 def late(
-    settings: ServiceSettings, known: Telemetry, link: LinkMeasured | None, time_us: int, most: Bearable
+    settings: ServiceSettings, latency_s: float, link: LinkMeasured | None, most: Bearable
 ) -> str | None:
-    """Latency, as far as it is measured, above what law and observer bear.
+    """Latency, as far as it is measured (NaN: not), above what law and observer bear.
 
     It is the round trip at least, of which half is an underestimate when commands alone come late.
     """
     law, observer = settings.controller.law, settings.controller.observer
-    arrived_us = known.attitude_stream.arrival_us  # silence is judged elsewhere
-    latency_s = telemetry.latency_s(known, link, time_us if arrived_us is None else arrived_us)
     if law is None or observer is None or link is None or isnan(latency_s):
         return None
     latency_s = max(latency_s, link.round_trip_s)

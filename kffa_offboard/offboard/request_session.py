@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from kffa_offboard.offboard import admission, events, external, parameters, rivals
+from kffa_offboard.offboard import admission, events, external, parameters, rivals, telemetry
 from kffa_offboard.offboard.events import AttitudeSetpoint, Event, PositionSetpoint, Severity
 from kffa_offboard.offboard.flight import Directive, Phase
 from kffa_offboard.offboard.guard import Wish, check_wish
@@ -43,8 +43,11 @@ class RequestSession(PayloadSession):
                 pass
 
     def _on_link_measured(self, time_us: int, measured: events.LinkMeasured) -> None:
-        self._link = measured
-        late = admission.late(self.settings, self._known, measured, time_us, admission.LATENCY_IN_FLIGHT)
+        """One late sample is jitter; two at successive measurements, or late answers, are a slow link."""
+        before_s, self._link = self._latency_s, measured
+        self._latency_s = telemetry.latency_on_arrival_s(self._known, measured, time_us)
+        steady_s = min(self._latency_s, before_s)  # NaN, not measured, if the first one is; else the other
+        late = admission.late(self.settings, steady_s, measured, admission.LATENCY_IN_FLIGHT)
         if late is not None and self.state in SENDING:
             self._failsafe(time_us, late)
 

@@ -6,6 +6,8 @@ control steps. Everything that changes `state` is here, except waiting -> ready.
 
 from __future__ import annotations
 
+from math import nan
+
 from kffa_offboard.offboard import admission, events, parameters, sequence, telemetry
 from kffa_offboard.offboard.events import Announce, ModeKind, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.external import External
@@ -63,6 +65,7 @@ class Session:
         self._requests = 0
         self._gripper_us: int | None = None
         self._link: events.LinkMeasured | None = None
+        self._latency_s = nan
         self._battery: events.BatteryReported | None = None
         self._trust = Trust()
         self._rivals = Rivals()

@@ -303,3 +303,9 @@ def latency_s(known: Telemetry, link: LinkMeasured | None, time_us: int) -> floa
     age_us = time_us - (known.attitude.sample_time_us - link.clock_offset_us)
     latency = age_us * 1e-6 + 0.5 * link.round_trip_s
     return latency if 0.0 <= latency <= LONGEST_LATENCY_S else nan
+
+
+def latency_on_arrival_s(known: Telemetry, link: LinkMeasured | None, time_us: int) -> float:
+    """`latency_s` of a command that answers the last attitude sample at once; silence is judged elsewhere."""
+    arrived_us = known.attitude_stream.arrival_us
+    return latency_s(known, link, time_us if arrived_us is None else arrived_us)

@@ -105,7 +105,7 @@ def test_a_set_point_that_runs_away_is_held_at_the_limit_and_said(fake):
     flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),), limits=limits), fake.airborne())
     flight.run_to(State.ENGAGED)
     inner = flight.service._flight
-    flight.service._flight = replace(inner, scenario=replace(inner.scenario, hold_altitude=30.0))
+    flight.service._flight = inner._replace(scenario=replace(inner.scenario, hold_altitude=30.0))
     flight.run(4.0)
     assert "set point held at 6 m of height" in flight.texts
     references = [signals.reference[3] for _, signals in flight.sent(Signals)]
