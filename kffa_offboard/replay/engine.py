@@ -34,29 +34,31 @@ class Replayed:
     applied: dict[int, Array] = field(default_factory=dict)
 
 
-class _NoLink:
+class NoLink:
     """A link to nowhere that takes everything."""
 
     name = "replay"
     keeps_frames_whole = True
     trouble = ""
-
     descriptor = None
 
     def take_news(self) -> str | None:
+        """See `transport.Link`."""
         return None
 
     def receive(self, timeout_s: float) -> list[Datagram]:
+        """See `transport.Link`."""
         return []
 
     def send(self, data: bytes) -> bool:
+        """See `transport.Link`."""
         return True
 
     def lock(self, source: Hashable) -> None:
-        pass
+        """See `transport.Link`."""
 
     def close(self) -> None:
-        pass
+        """See `transport.Link`."""
 
 
 class _Collector:
@@ -115,7 +117,7 @@ def replay(recording: Recording, config: DaemonConfig, flown: Mapping[int, Array
     lockstep = recording.header.lockstep
     session = Session(
         Service(config.service, flown=flown),
-        _NoLink(),
+        NoLink(),
         route,
         recorder=collector,
         parameters=recorded_keeper(recording.header, config, route, recording.path),

@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -21,6 +20,7 @@ from kffa_offboard.mavlink.session import Session
 from kffa_offboard.mavlink.transport import Datagram
 from kffa_offboard.offboard.events import AttitudeTarget
 from kffa_offboard.offboard.service import Service
+from kffa_offboard.replay.engine import NoLink
 from kffa_offboard.replay.recording import Recording, is_request, read_recording
 from kffa_offboard.selftest.result import Row, at_most
 
@@ -74,34 +74,13 @@ def _verdict(rate_hz: float, together_s: float, needed: bool) -> Row:
     )
 
 
-class _Discard:
-    """A link to nowhere."""
-
-    name, keeps_frames_whole, trouble, descriptor = "self-test", True, "", None
-
-    def take_news(self) -> str | None:
-        return None
-
-    def receive(self, timeout_s: float) -> list[Datagram]:
-        return []
-
-    def send(self, data: bytes) -> bool:
-        return True
-
-    def lock(self, source: Any) -> None:
-        pass
-
-    def close(self) -> None:
-        pass
-
-
 def _steps(recording: Recording) -> list[float]:
     """Decode, step, guard, pack: each message of a recorded flight that a setpoint answers, s."""
     config = config_of(recording.header, recording.path)
     ids = config.link
     route = Route(ids.system_id, ids.component_id, ids.target_system, ids.target_component)
     session, parser = (
-        Session(Service(config.service), _Discard(), route),
+        Session(Service(config.service), NoLink(), route),
         FrameParser(keeps_frames_whole=True),
     )
     took: list[float] = []
