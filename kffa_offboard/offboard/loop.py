@@ -247,7 +247,26 @@ def step_loop(
     made here: a recorded flight replayed with other gains. The observer is told of it, because the samples
     answer to it; NaN where it is not known in this output, which takes what is measured.
     """
-    assert known.attitude is not None and known.position is not None
+    loop, measured, output = _step_controller(settings, loop, known, order, dt, replayed=flown is not None)
+    near = output.estimate
+    if flown is not None and not np.all(np.isfinite(flown)):
+        flown = np.where(np.isfinite(flown), flown, _as_measured(settings, known, near))
+    own = _NOTHING if order.controls else autopilot_command(settings, known, time_us, near)
+    place = position_reference(loop.horizontal, order.directive)
+    if order.sending:
+        trace = Trace(time_us, dt, place, measured, output, output.command, own)
+        return _send(settings, loop, known, order, trace, flown)
+    own = own if flown is None else flown
+    controller = controllers.with_applied(settings.controller, loop.controller, own)
+    loop = loop._replace(controller=controller, vertical_thrust=float(own[3]))
+    return loop, LoopStep(None, Trace(time_us, dt, place, measured, output, output.command, own))
+
+
+def _step_controller(
+    settings: ServiceSettings, loop: LoopState, known: Telemetry, order: Order, dt: float, *, replayed: bool
+) -> tuple[LoopState, Array, controllers.ControllerOutput]:
+    """Position ring and controller take the sample; returns the measurement ``(4,)``, too."""
+    assert known.position is not None
     parameters, controller = settings.controller, loop.controller
     if order.directive.align:
         controller = controllers.align_reference(parameters, controller)
@@ -257,7 +276,7 @@ def step_loop(
         loop.horizontal,
         known,
         order.directive,
-        order.controls and flown is None,
+        order.controls and not replayed,
         new_position,
         dt,
     )
@@ -266,32 +285,35 @@ def step_loop(
     controller, output = controllers.step(parameters, controller, inputs, dt)
     altitude, climb_rate = float(output.estimate[3]), float(output.estimate_rate[3])
     loop = loop._replace(
+        controller=controller,
         position_us=known.position.sample_time_us,
         altitude=altitude,
         hold_altitude=altitude + settings.reference_lag_s * climb_rate,
         horizontal=horizontal,
     )
-    place = position_reference(horizontal, order.directive)
-    near = output.estimate
-    if flown is not None and not np.all(np.isfinite(flown)):
-        flown = np.where(np.isfinite(flown), flown, _as_measured(settings, known, near))
-    own = _NOTHING if order.controls else autopilot_command(settings, known, time_us, near)
-    if not order.sending:
-        own = own if flown is None else flown
-        controller = controllers.with_applied(parameters, controller, own)
-        loop = loop._replace(controller=controller, vertical_thrust=float(own[3]))
-        return loop, LoopStep(None, Trace(time_us, dt, place, measured, output, output.command, own))
+    return loop, measured, output
+
+
+def _send(
+    settings: ServiceSettings,
+    loop: LoopState,
+    known: Telemetry,
+    order: Order,
+    trace: Trace,
+    flown: Array | None,
+) -> tuple[LoopState, LoopStep]:
+    """Make the setpoint, have it checked, and tell the observer; `trace.applied` is the autopilot's own."""
+    assert known.attitude is not None
+    output, own, time_us, near = trace.output, trace.applied, trace.time_us, trace.output.estimate
     loop, wanted, target = _wish(settings, loop, known, order, time_us, output.command, float(own[3]), near)
-    since = max(dt, (time_us - loop.sent_us) * 1e-6)
+    since = max(trace.dt, (time_us - loop.sent_us) * 1e-6)
     checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
     if checked.target is None:
-        trace = Trace(time_us, dt, place, measured, output, wanted, wanted)
-        return loop._replace(controller=controller), LoopStep(None, trace, checked.fault)
+        return loop, LoopStep(None, replace(trace, command=wanted, applied=wanted), checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
-    controller = controllers.with_applied(parameters, controller, applied)
     loop = loop._replace(
-        controller=controller,
+        controller=controllers.with_applied(settings.controller, loop.controller, applied),
         vertical_thrust=float(sent[3] if flown is None else flown[3]),
         carrying=follow(loop.carrying, checked.target.thrust, since),
         sent=checked.target,
@@ -299,7 +321,7 @@ def step_loop(
     )
     if sent is not wanted:
         output = replace(output, saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
-    return loop, LoopStep(checked.target, Trace(time_us, dt, place, measured, output, sent, applied))
+    return loop, LoopStep(checked.target, replace(trace, output=output, command=sent, applied=applied))
 
 
 def prepare_next(settings: ServiceSettings, loop: LoopState, dt: float) -> None:
