@@ -8,7 +8,7 @@ last bit, alone or among others (on machines of one kind, with one version of nu
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -130,7 +130,7 @@ class Batch:
         balance = np.concatenate([np.zeros((3, len(hover))), hover[None]])
         state = controllers.initial_state(parameters, self._reference, balance)
         # One age of the last measurement for the whole batch, so that the gains are worked out once.
-        state = replace(state, observer=replace(state.observer, elapsed=np.zeros((4, 1))))
+        state = state._replace(observer=state.observer._replace(elapsed=np.zeros((4, 1))))
         return controllers.align_reference(parameters, state)
 
     def _measurable(self) -> Array:

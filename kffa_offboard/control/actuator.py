@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,34 +36,34 @@ class ActuatorParameters:
         return float(np.max(self.lag))
 
 
-@dataclass(frozen=True)
-class ActuatorState:
+class ActuatorState(NamedTuple):
     """Commands under way.
 
     Attributes
     ----------
     ages : tuple of float, s
         How long ago each queued command was sent, oldest first; the last one is the newest.
-    commands : tuple of (4[, N])
+    commands : (K, 4[, N]), one for each age
     lagged : (4[, N])
         Output of the first-order lag.
     """
 
     ages: tuple[float, ...]
-    commands: tuple[Array, ...]
+    commands: Array
     lagged: Array
 
 
 def initial_state(command: Array) -> ActuatorState:
     """`command` ``(4[, N])`` has been acting for ever."""
-    return ActuatorState((np.inf,), (command,), command)
+    return ActuatorState((np.inf,), command[None], command)
 
 
 def send(state: ActuatorState, command: Array) -> ActuatorState:
     """Put a command in the queue at this moment; one sent at the same moment is replaced."""
-    if state.ages[-1] == 0.0:
-        return ActuatorState(state.ages, (*state.commands[:-1], command), state.lagged)
-    return ActuatorState((*state.ages, 0.0), (*state.commands, command), state.lagged)
+    ages, kept = state.ages, state.commands
+    if ages[-1] == 0.0:
+        ages, kept = ages[:-1], kept[:-1]
+    return ActuatorState((*ages, 0.0), np.concatenate((kept, command[None])), state.lagged)
 
 
 @remember
@@ -107,7 +108,7 @@ def _mean_acting(state: ActuatorState, window: tuple[Array, Array, Array]) -> tu
     a constant, exactly.
     """
     shares, held, decay = window
-    mean = np.add.reduce(shares * np.array(state.commands))
+    mean = np.add.reduce(shares * state.commands)
     transient = state.lagged - mean
     return mean + held * transient, mean + decay * transient
 
@@ -119,10 +120,16 @@ def step(parameters: ActuatorParameters, state: ActuatorState, dt: float) -> tup
     """Advance by `dt` s and return the mean command ``(4[, N])`` that acted in that time."""
     ages = tuple([age + dt for age in state.ages])
     averaged, lagged = _mean_acting(state, _window(parameters, ages, _NOW, dt, state.lagged.ndim))
-    keep = 0
-    while keep + 1 < len(ages) and ages[keep + 1] >= parameters.longest_delay:
-        keep += 1
-    return ActuatorState((np.inf, *ages[keep + 1 :]), state.commands[keep:], lagged), averaged
+    over = _over(parameters, ages)
+    return ActuatorState((np.inf, *ages[over + 1 :]), state.commands[over:], lagged), averaged
+
+
+def _over(parameters: ActuatorParameters, ages: tuple[float, ...]) -> int:
+    """How many of the oldest commands act no more."""
+    over = 0
+    while over + 1 < len(ages) and ages[over + 1] >= parameters.longest_delay:
+        over += 1
+    return over
 
 
 def forecast(parameters: ActuatorParameters, state: ActuatorState, horizon: Array) -> Array:
@@ -132,3 +139,12 @@ def forecast(parameters: ActuatorParameters, state: ActuatorState, horizon: Arra
     """
     window = _window(parameters, state.ages, horizon, horizon, state.lagged.ndim)
     return _mean_acting(state, window)[0]
+
+
+def prepare(parameters: ActuatorParameters, state: ActuatorState, dt: float, horizon: Array | None) -> None:
+    """Work out what `step` over `dt`, and then `forecast` over `horizon`, will look up."""
+    ages = tuple([age + dt for age in state.ages])
+    _window(parameters, ages, _NOW, dt, state.lagged.ndim)
+    if horizon is not None:
+        kept = (np.inf, *ages[_over(parameters, ages) + 1 :])
+        _window(parameters, kept, horizon, horizon, state.lagged.ndim)

@@ -18,9 +18,9 @@ a yaw reference across +-pi takes the short way and everything behind is linear.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -77,16 +77,14 @@ class ControllerParameters:
         return np.where(self.angular, 2.0 * np.pi, 0.0)
 
 
-@dataclass(frozen=True)
-class ExpectedStep:
+class ExpectedStep(NamedTuple):
     """The disturbance will change by `step` ``(4[, N])``; it shows in the measurements `after` s from now."""
 
     step: Array
     after: float
 
 
-@dataclass(frozen=True)
-class ControllerState:
+class ControllerState(NamedTuple):
     """Everything that a controller remembers between steps; a value: copy it, compare it, save it."""
 
     differentiator: td.TrackingDifferentiatorState
@@ -97,8 +95,7 @@ class ControllerState:
     expected: ExpectedStep | None = None
 
 
-@dataclass(frozen=True)
-class ControllerInput:
+class ControllerInput(NamedTuple):
     """What one step is told; arrays ``(4[, N])`` in channel order.
 
     Attributes
@@ -116,8 +113,7 @@ class ControllerInput:
     measured_rate: Array | None = None
 
 
-@dataclass(frozen=True)
-class ControllerOutput:
+class ControllerOutput(NamedTuple):
     """What one step says; arrays ``(4[, N])`` in channel order.
 
     Attributes
@@ -167,17 +163,17 @@ def align_reference(parameters: ControllerParameters, state: ControllerState) ->
     The integral of a PID is set so that its next command equals the one that is acting.
     """
     estimate, rate = state.observer.estimate, state.observer.rate
-    aligned = replace(
-        state, differentiator=td.TrackingDifferentiatorState(estimate, rate, np.zeros_like(rate))
+    aligned = state._replace(
+        differentiator=td.TrackingDifferentiatorState(estimate, rate, np.zeros_like(rate))
     )
     if parameters.pid is None:
         return aligned
     acting = state.actuator.commands[-1]
-    at_rest = replace(state.pid, integral=np.zeros_like(acting))
+    at_rest = state.pid._replace(integral=np.zeros_like(acting))
     unlimited = pid.command(parameters.pid, at_rest, state.pid.measurement)
     integral = column(parameters.pid.b0, acting) * (acting - unlimited)
     needs = column(parameters.pid.ki, acting) > 0.0
-    return replace(aligned, pid=replace(state.pid, integral=np.where(needs, integral, 0.0)))
+    return aligned._replace(pid=state.pid._replace(integral=np.where(needs, integral, 0.0)))
 
 
 def with_applied(parameters: ControllerParameters, state: ControllerState, command: Array) -> ControllerState:
@@ -208,12 +204,12 @@ def with_disturbance_step(
     disturbance and take no notice.
     """
     if after > 0.0:
-        return replace(state, expected=ExpectedStep(step, after) if np.any(step) else None)
-    stepped = replace(state.observer, disturbance=state.observer.disturbance + step)
+        return state._replace(expected=ExpectedStep(step, after) if np.any(step) else None)
+    stepped = state.observer._replace(disturbance=state.observer.disturbance + step)
     filter_state = state.kalman
     if parameters.kalman is not None and filter_state is not None:
         filter_state = kalman.with_disturbance_step(parameters.kalman, filter_state, step)
-    return replace(state, observer=stepped, kalman=filter_state, expected=None)
+    return state._replace(observer=stepped, kalman=filter_state, expected=None)
 
 
 def lead(parameters: ControllerParameters) -> Array:
@@ -233,7 +229,7 @@ def _advance_expected(
     if expected is None:
         return state, acted
     if expected.after > dt:
-        return replace(state, expected=replace(expected, after=expected.after - dt)), acted
+        return state._replace(expected=expected._replace(after=expected.after - dt)), acted
     early = expected.after / dt * expected.step / column(parameters.model.b0, expected.step)
     return with_disturbance_step(parameters, state, expected.step), acted - early
 
@@ -272,7 +268,7 @@ def _estimate(
     if parameters.pid is not None:
         baseline = pid.differentiate(parameters.pid, baseline, measurement, dt)
         if inputs.measured_rate is not None:
-            baseline = replace(baseline, rate=inputs.measured_rate)
+            baseline = baseline._replace(rate=inputs.measured_rate)
         estimates = observer.ObserverState(measurement, baseline.rate, -baseline.integral, predicted.elapsed)
     else:
         assert parameters.observer is not None
@@ -338,9 +334,7 @@ def prepare(
     Nothing changes but the time that `step` takes: gain of the Kalman filter and weights of the queue depend
     on no measurement (`memory.remember`).
     """
-    queue, _ = actuator.step(parameters.actuator, state.actuator, dt)
-    if parameters.prediction is not None:
-        actuator.forecast(parameters.actuator, queue, parameters.prediction)
+    actuator.prepare(parameters.actuator, state.actuator, dt, parameters.prediction)
     if parameters.kalman is not None and state.kalman is not None:
         kalman.prepare(parameters.kalman, parameters.model, state.kalman, fresh, dt, with_rate=with_rate)
 
@@ -362,7 +356,7 @@ def _ahead(parameters: ControllerParameters, state: ControllerState) -> observer
     if expected is None:
         return ahead
     met = expected.after <= column(lead(parameters), ahead.disturbance) + _SAME_MOMENT
-    return replace(ahead, disturbance=ahead.disturbance + np.where(met, expected.step, 0.0))
+    return ahead._replace(disturbance=ahead.disturbance + np.where(met, expected.step, 0.0))
 
 
 def _adrc_command(

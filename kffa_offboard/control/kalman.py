@@ -15,9 +15,9 @@ in the climb rate long before it shows in the height.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from filterpy.kalman import KalmanFilter
@@ -60,8 +60,7 @@ class KalmanParameters:
         return 3 if self.model == "extended" else 2
 
 
-@dataclass(frozen=True)
-class KalmanState:
+class KalmanState(NamedTuple):
     """Mean ``(4 * states, N)`` (channel by channel; N = 1 for one vehicle) and covariance of the filter."""
 
     mean: Array
@@ -109,7 +108,7 @@ def with_disturbance_step(parameters: KalmanParameters, state: KalmanState, step
         return state
     mean = state.mean.copy()
     mean[2::3] += step.reshape(len(step), -1)
-    return replace(state, mean=mean)
+    return state._replace(mean=mean)
 
 
 @remember

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,8 +89,7 @@ class ObserverParameters:
         return cls(poles)
 
 
-@dataclass(frozen=True)
-class ObserverState:
+class ObserverState(NamedTuple):
     """Estimates s1 (output), s2 (its rate), s3 (total disturbance) and the age of the last correction.
 
     Attributes

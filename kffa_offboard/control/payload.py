@@ -119,8 +119,7 @@ class PayloadState(NamedTuple):
     suspected: Array
 
 
-@dataclass(frozen=True)
-class PayloadEstimate:
+class PayloadEstimate(NamedTuple):
     """What one step found.
 
     Attributes

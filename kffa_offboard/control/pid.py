@@ -10,6 +10,7 @@ as the others: what they command is an acceleration divided by b0, plus a consta
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -45,8 +46,7 @@ class PidParameters:
     derivative_time: float = 0.02
 
 
-@dataclass(frozen=True)
-class PidState:
+class PidState(NamedTuple):
     """Integral (as an acceleration), last measurement and filtered rate, each ``(4[, N])``."""
 
     integral: Array

@@ -19,7 +19,7 @@ command, and delay and lag only say how the commands under way will act.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -245,10 +245,10 @@ def step(
     command = limit_tilt(parameters, output.command)
     state = controllers.with_applied(parameters.controller, state, command)
     shortened = np.asarray(output.saturated | (command != output.command))
-    output = replace(output, command=command, saturated=shortened)
+    output = output._replace(command=command, saturated=shortened)
     return state, PositionOutput(attitude_of(parameters.gravity, command, inputs.yaw), output)
 
 
 def _reanchored(state: controllers.ControllerState, acceleration: Array) -> controllers.ControllerState:
     """Start the model of the attitude loop from the acceleration that was measured."""
-    return replace(state, actuator=replace(state.actuator, lagged=acceleration))
+    return state._replace(actuator=state.actuator._replace(lagged=acceleration))

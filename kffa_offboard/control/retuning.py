@@ -7,8 +7,6 @@ another disturbance; without that step the observer would have to find it, and t
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from kffa_offboard.control import Array, column, kalman
@@ -33,11 +31,11 @@ def retuned(
     if before.kalman is not None and after.kalman is not None and before.kalman.states != after.kalman.states:
         raise ValueError("the Kalman filter's model cannot be changed in flight")
     change = _explained(before, state) - _explained(after, state)
-    observed = replace(state.observer, disturbance=state.observer.disturbance + change)
+    observed = state.observer._replace(disturbance=state.observer.disturbance + change)
     filtered = state.kalman
     if after.kalman is not None and filtered is not None and after.kalman.states == 3:
         filtered = _with_disturbance(filtered, change)
-    state = replace(state, observer=observed, kalman=filtered)
+    state = state._replace(observer=observed, kalman=filtered)
     return _rebalanced(before, after, state)
 
 
@@ -55,7 +53,7 @@ def _with_disturbance(state: kalman.KalmanState, change: Array) -> kalman.Kalman
     channels = len(change)
     mean = state.mean.reshape(channels, 3, -1).copy()
     mean[:, 2] += change.reshape(channels, -1)
-    return replace(state, mean=mean.reshape(state.mean.shape))
+    return state._replace(mean=mean.reshape(state.mean.shape))
 
 
 def _rebalanced(
@@ -67,4 +65,4 @@ def _rebalanced(
     old, new, integral = before.pid, after.pid, state.pid.integral
     held = integral / column(old.b0, integral) + column(old.trim, integral) - column(new.trim, integral)
     balanced = np.where(column(new.ki, integral) > 0.0, held * column(new.b0, integral), integral)
-    return replace(state, pid=replace(state.pid, integral=balanced))
+    return state._replace(pid=state.pid._replace(integral=balanced))

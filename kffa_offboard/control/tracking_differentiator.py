@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil
+from typing import NamedTuple
 
 import numpy as np
 
@@ -35,8 +36,7 @@ class TrackingDifferentiatorParameters:
     filter_time: float = 0.1
 
 
-@dataclass(frozen=True)
-class TrackingDifferentiatorState:
+class TrackingDifferentiatorState(NamedTuple):
     """Tracked reference, its rate and the acceleration that made it, each ``(4[, N])``."""
 
     position: Array

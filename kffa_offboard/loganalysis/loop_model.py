@@ -166,7 +166,7 @@ class LinearController:
         return replace(
             self,
             parameters=replace(self.parameters, kalman=filtering),
-            settled=replace(self.settled, kalman=kalman.KalmanState(state.mean, covariance)),
+            settled=self.settled._replace(kalman=kalman.KalmanState(state.mean, covariance)),
         )
 
     def system(self, channel: int) -> LinearSystem:
@@ -184,8 +184,8 @@ class LinearController:
         state = controllers.ControllerState(
             differentiator=td.TrackingDifferentiatorState(zero, zero, zero),
             observer=observer.ObserverState(unit[0], unit[1], unit[2], zero),
-            actuator=actuator.ActuatorState(before.actuator.ages, tuple(unit[4 : 4 + queue]), unit[3]),
-            pid=replace(before.pid, measurement=zero, rate=zero, integral=zero),
+            actuator=actuator.ActuatorState(before.actuator.ages, unit[4 : 4 + queue], unit[3]),
+            pid=before.pid._replace(measurement=zero, rate=zero, integral=zero),
             kalman=None
             if before.kalman is None
             else kalman.KalmanState(mean.reshape(4 * filters, -1), before.kalman.covariance),

@@ -106,8 +106,10 @@ class ParameterKeeper:
         """Nothing is left to do on the vehicle, or it was given up."""
         return self._phase in (_Phase.WAITING, _Phase.DONE)
 
-    def take(self) -> Todo:
-        """What the calls so far ask for."""
+    def take(self) -> Todo | None:
+        """What the calls so far ask for; None for nothing."""
+        if not (self._todo.messages or self._todo.events or self._todo.announcements):
+            return None
         todo, self._todo = self._todo, Todo()
         return todo
 

@@ -6,8 +6,6 @@ modules/commander/px4_custom_mode.h.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from kffa_offboard.mavlink.autopilot import Autopilot, GuidedMode
 from kffa_offboard.mavlink.commands import EncodingError
 from kffa_offboard.mavlink.component import Message, Route
@@ -122,5 +120,5 @@ class Px4(Autopilot):
         kind, name = self.mode_of(self._custom_mode)
         maybe_offboard = kind is ModeKind.OFFBOARD or self._heartbeats_until_known > 0
         if name == _MAIN_MODES[_ACRO] or (maybe_offboard and not self._sends_attitude):
-            return replace(target, thrust=None, body_rates=None, attitude=None)
+            return target._replace(thrust=None, body_rates=None, attitude=None)
         return target

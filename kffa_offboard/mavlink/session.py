@@ -64,6 +64,9 @@ class OffboardService(Protocol):
     def next_deadline(self) -> int | None:
         """When something is due without any event; None if nothing is."""
 
+    def prepare(self) -> None:
+        """Work out, in time left over, what the next event will need; nothing else changes."""
+
 
 class Recorder(Protocol):
     """What the shell needs of a flight log."""
@@ -267,6 +270,10 @@ class Session:
         companion = self._companion.next_deadline()
         return companion if first is None or (companion is not None and companion < first) else first
 
+    def prepare(self) -> None:
+        """Use time left over: nothing has arrived and nothing is due."""
+        self.service.prepare()
+
     @property
     def done(self) -> bool:
         """The service has finished, and the vehicle's parameters are what they were."""
@@ -313,6 +320,8 @@ class Session:
         if self.service.finished is not None:
             self._parameters.finish(time_us)
         todo = self._parameters.take()
+        if todo is None:
+            return
         for message in todo.messages:
             self._transmit(time_us, message)
         self._dispatch(time_us, todo.announcements)

@@ -6,8 +6,8 @@ short mean is whatever the phase makes it: then the long one counts.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import exp
+from typing import NamedTuple
 
 SHORT_S, LONG_S = 0.3, 2.0
 SWING = 0.05
@@ -17,8 +17,7 @@ SWINGING = 1.5
 """Changes of side, fading with `LONG_S`, from which on thrust swings: a load that comes or goes makes one."""
 
 
-@dataclass(frozen=True, slots=True)
-class Carrying:
+class Carrying(NamedTuple):
     """Two means of the setpoints' thrust; on which side of the long the short was last; changes of side."""
 
     short: float

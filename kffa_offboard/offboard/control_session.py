@@ -24,6 +24,16 @@ class ControlSession(RequestSession):
         super().__init__(settings)
         self._flown: Mapping[int, Array] = {}
         self._stepped: tuple[Order, LoopStep] | None = None
+        self._period_s: float | None = None
+
+    def prepare(self) -> None:
+        """Work out, in time left over, what the next control step will look up if it comes like the last.
+
+        Nothing changes but the time that the step takes.
+        """
+        if self._loop is not None and self._period_s is not None:
+            prepare_next(self.settings, self._loop, self._period_s)
+        self._period_s = None
 
     def _control(self, time_us: int, dt: float) -> None:
         """One control step, in shadow or in earnest; the only source of new setpoints."""
@@ -52,8 +62,7 @@ class ControlSession(RequestSession):
         self._emit(signals(result.trace, order.state_name, latency_s))
         if result.fault is None:
             self._watch_payload(time_us, result.trace, order)
-        if self._loop is not None:
-            prepare_next(self.settings, self._loop, result.trace.dt)
+        self._period_s = result.trace.dt
 
     def _order(self, time_us: int) -> Order:
         """What this step is to do in the present state."""

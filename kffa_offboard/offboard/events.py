@@ -9,10 +9,10 @@ autopilot's own clock (for dt), the arrival time is given to the service beside 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import Enum
 from math import nan
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 from kffa_offboard.offboard.settings import ServiceSettings
 
@@ -53,8 +53,7 @@ class HeartbeatReceived:
     armed: bool
 
 
-@dataclass(frozen=True, slots=True)
-class AttitudeReceived:
+class AttitudeReceived(NamedTuple):
     """Euler angles [rad] (roll, pitch, yaw) and body rates [rad/s] of one sample."""
 
     sample_time_us: int
@@ -62,8 +61,7 @@ class AttitudeReceived:
     body_rates: Vector3
 
 
-@dataclass(frozen=True, slots=True)
-class PositionReceived:
+class PositionReceived(NamedTuple):
     """Position [m] and velocity [m/s] of one sample, relative to the estimator's origin, z up."""
 
     sample_time_us: int
@@ -71,8 +69,7 @@ class PositionReceived:
     velocity: Vector3
 
 
-@dataclass(frozen=True, slots=True)
-class TargetReported:
+class TargetReported(NamedTuple):
     """What the autopilot itself is commanding (ATTITUDE_TARGET); None where it is not to be trusted."""
 
     sample_time_us: int
@@ -81,8 +78,7 @@ class TargetReported:
     attitude: Vector3 | None
 
 
-@dataclass(frozen=True, slots=True)
-class ThrottleReported:
+class ThrottleReported(NamedTuple):
     """VFR_HUD throttle as a fraction 0..1, for firmware that reports no ATTITUDE_TARGET."""
 
     throttle: float
@@ -253,8 +249,7 @@ ProcessReport: TypeAlias = StepTiming | Trouble
 # --------------------------------------------------------------------------- messages out
 
 
-@dataclass(frozen=True, slots=True)
-class AttitudeTarget:
+class AttitudeTarget(NamedTuple):
     """One setpoint. Exactly one of `body_rates` [rad/s] and `attitude` [rad] is given.
 
     `thrust` is normalised collective thrust 0..1.
@@ -320,8 +315,7 @@ class OwnHeartbeat:
     state: Literal["standby", "active", "critical"]
 
 
-@dataclass(frozen=True, slots=True)
-class Signals:
+class Signals(NamedTuple):
     """Inner signals of one control step, for the log and for live graphs.
 
     Each tuple is in channel order roll, pitch, yaw, altitude. `time_us` is the event's
@@ -341,7 +335,7 @@ class Signals:
     omega_c: tuple[float, ...]
     command: tuple[float, ...]
     applied: tuple[float, ...]
-    saturated: tuple[bool, ...] = field(default=(False, False, False, False))
+    saturated: tuple[bool, ...] = (False, False, False, False)
     dt: float = 0.0
     latency_s: float = nan
     position_reference: tuple[float, float] | None = None

@@ -128,8 +128,7 @@ def hold(external: External, scenario: ScenarioState, captured: Offset, time_us:
     offset = scenario.offset
     if x is not None and y is not None:
         offset = (x - captured[0], y - captured[1])
-    return replace(
-        scenario,
+    return scenario._replace(
         offset=offset,
         hold_altitude=scenario.hold_altitude if z is None else z,
         yaw=scenario.yaw if external.yaw is None else external.yaw,
@@ -144,7 +143,7 @@ def leaning(settings: ServiceSettings, external: External, directive: Directive)
     roll, pitch, yaw = external.attitude
     _, _, _, altitude = directive.reference
     wanted = (min(max(roll, -most), most), min(max(pitch, -most), most), yaw, altitude)
-    return replace(directive, reference=wanted)
+    return directive._replace(reference=wanted)
 
 
 def expired(settings: FlightSettings, external: External, time_us: int) -> bool:

@@ -6,7 +6,6 @@ and the attitude is held level; in the air the controller flies the scenario's r
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Literal, NamedTuple
 
@@ -65,8 +64,7 @@ class FlightState(NamedTuple):
     failure: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class FlightSample:
+class FlightSample(NamedTuple):
     """What a flight needs to know in each step.
 
     Attributes
@@ -87,8 +85,7 @@ class FlightSample:
     powered_us: int | None
 
 
-@dataclass(frozen=True, slots=True)
-class Directive:
+class Directive(NamedTuple):
     """What is to be done in this step.
 
     Attributes
@@ -125,7 +122,7 @@ def start_scenario(state: FlightState, time_us: int) -> FlightState:
 
 def hold_here(state: FlightState, altitude: float, offset: Offset) -> FlightState:
     """Keep this altitude and horizontal set point from now on (fly it with an empty scenario)."""
-    return state._replace(scenario=replace(state.scenario, hold_altitude=altitude, offset=offset))
+    return state._replace(scenario=state.scenario._replace(hold_altitude=altitude, offset=offset))
 
 
 def abandon_takeoff(state: FlightState, time_us: int, thrust: float, failure: str | None) -> FlightState:
@@ -171,7 +168,7 @@ def _step_ground(
     powered = sample.powered_us is not None and sample.time_us >= sample.powered_us
     if powered and isinstance(current_segment(segments, scenario), Takeoff):
         # Ground level is taken at the last moment: estimates drift while standing.
-        scenario = replace(scenario, ground=sample.altitude, hold_altitude=sample.altitude)
+        scenario = scenario._replace(ground=sample.altitude, hold_altitude=sample.altitude)
         state = state._replace(scenario=scenario, phase=Phase.RAMP, phase_us=sample.time_us)
     ending = Ending.LANDED if wanted.done else None
     return state, Directive(_level(state), 0.0, align=True, gripper=wanted.gripper, ending=ending)

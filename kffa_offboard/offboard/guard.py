@@ -7,15 +7,14 @@ that is not finite is not repaired: it has no safe value, the service must give 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, hypot, isfinite, pi
+from typing import NamedTuple
 
 from kffa_offboard.offboard.events import AttitudeTarget, Vector3
 from kffa_offboard.offboard.settings import LimitSettings
 
 
-@dataclass(frozen=True, slots=True)
-class Checked:
+class Checked(NamedTuple):
     """Result of a check.
 
     Attributes
@@ -30,8 +29,7 @@ class Checked:
     fault: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class Wish:
+class Wish(NamedTuple):
     """What the controller is to follow.
 
     Attributes
@@ -110,7 +108,7 @@ def check_target(
     airborne : False allows thrust below `limits.thrust_min`
     """
     numbers = (target.thrust, *(target.body_rates or ()), *(target.attitude or ()), *attitude, dt)
-    if not all(isfinite(number) for number in numbers):
+    if not all(map(isfinite, numbers)):
         return Checked(None, fault="setpoint is not a finite number")
     if (target.body_rates is None) == (target.attitude is None):
         return Checked(None, fault="setpoint needs either body rates or attitude")

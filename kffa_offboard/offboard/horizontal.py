@@ -8,8 +8,8 @@ come to rest; from then on that place, moved by the scenario, is held.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import hypot
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ from kffa_offboard.offboard.settings import PositionSettings
 from kffa_offboard.offboard.telemetry import Telemetry
 
 
-@dataclass(frozen=True, slots=True)
-class HorizontalState:
+class HorizontalState(NamedTuple):
     """What one step of the ring leaves for the next.
 
     Attributes

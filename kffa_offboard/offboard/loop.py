@@ -7,7 +7,6 @@ shadow: the observer is then told what the autopilot itself applies.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from math import exp
 from typing import NamedTuple
 
@@ -35,8 +34,7 @@ _NOTHING = np.zeros(4)
 ROUNDING = 1e-9  # what a setpoint may change by on its way through body rates and back
 
 
-@dataclass(frozen=True, slots=True)
-class Blend:
+class Blend(NamedTuple):
     """Difference between the autopilot's vertical thrust and the controller's at engaging; it fades."""
 
     offset: float
@@ -84,8 +82,7 @@ class LoopState(NamedTuple):
         return self._replace(sent_us=time_us)
 
 
-@dataclass(frozen=True, slots=True)
-class Order:
+class Order(NamedTuple):
     """How this step is to be made.
 
     Attributes
@@ -111,8 +108,7 @@ class Order:
         return self.acting and not self.capture
 
 
-@dataclass(frozen=True, slots=True)
-class Trace:
+class Trace(NamedTuple):
     """What a step leaves for those who watch; arrays ``(4,)``. `signals` puts it into plain numbers, later.
 
     Attributes
@@ -131,8 +127,7 @@ class Trace:
     applied: Array
 
 
-@dataclass(frozen=True, slots=True)
-class LoopStep:
+class LoopStep(NamedTuple):
     """Result of a step: what goes out (None in shadow or on a fault), its trace, and the fault."""
 
     target: AttitudeTarget | None
@@ -309,7 +304,7 @@ def _send(
     since = max(trace.dt, (time_us - loop.sent_us) * 1e-6)
     checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
     if checked.target is None:
-        return loop, LoopStep(None, replace(trace, command=wanted, applied=wanted), checked.fault)
+        return loop, LoopStep(None, trace._replace(command=wanted, applied=wanted), checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
     loop = loop._replace(
@@ -320,8 +315,8 @@ def _send(
         sent_us=time_us,
     )
     if sent is not wanted:
-        output = replace(output, saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
-    return loop, LoopStep(checked.target, replace(trace, output=output, command=sent, applied=applied))
+        output = output._replace(saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
+    return loop, LoopStep(checked.target, trace._replace(output=output, command=sent, applied=applied))
 
 
 def prepare_next(settings: ServiceSettings, loop: LoopState, dt: float) -> None:

@@ -11,8 +11,8 @@ first of these on nothing is said until no change has been found for `CALM_S`; t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from math import cos, exp
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,8 +29,7 @@ TOLD_MEMORY_S = 1.0
 """Time constant with which the load that is known follows its estimate: batteries sag, winds change."""
 
 
-@dataclass(frozen=True, slots=True)
-class PayloadSample:
+class PayloadSample(NamedTuple):
     """One control step as payload awareness sees it.
 
     Attributes
@@ -54,24 +53,21 @@ class PayloadSample:
     swinging: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Load:
+class Load(NamedTuple):
     """Mass of the load and its standard deviation, kg."""
 
     mass: float
     std: float
 
 
-@dataclass(frozen=True, slots=True)
-class PickUp:
+class PickUp(NamedTuple):
     """A pick-up that is named when its mass is exact: when it was noticed, and the load before, kg."""
 
     since_us: int
     before: float
 
 
-@dataclass(frozen=True, slots=True)
-class ExpectedDrop:
+class ExpectedDrop(NamedTuple):
     """A release that the daemon has commanded: the load, kg, and when it should show in the measurements."""
 
     load: float
@@ -79,8 +75,7 @@ class ExpectedDrop:
     begun: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Awareness:
+class Awareness(NamedTuple):
     """What is known of the load.
 
     Attributes
@@ -122,12 +117,12 @@ def step_awareness(
     else:
         resting = payload.advance(settings.estimator, state.estimator, sample.dt)
         state = Awareness(resting)
-    return replace(state, estimator=payload.send(state.estimator, np.array(sample.thrust))), outputs
+    return state._replace(estimator=payload.send(state.estimator, np.array(sample.thrust))), outputs
 
 
 def expect_drop(state: Awareness, load: float, moment_us: int) -> Awareness:
     """The daemon has commanded the release of `load` kg, which should show at `moment_us`."""
-    return replace(state, expected=ExpectedDrop(load, moment_us))
+    return state._replace(expected=ExpectedDrop(load, moment_us))
 
 
 def call_off_drop(settings: PayloadSettings, state: Awareness) -> Awareness:
@@ -137,8 +132,8 @@ def call_off_drop(settings: PayloadSettings, state: Awareness) -> Awareness:
         ratio = np.array(expected.load / settings.estimator.vehicle_mass)
         opening = np.array(settings.estimator.detection.opening)
         again = payload.reset(state.estimator, state.estimator.rate, ratio, opening)
-        state = replace(state, estimator=payload.accept(settings.estimator, again))
-    return replace(state, expected=None)
+        state = state._replace(estimator=payload.accept(settings.estimator, again))
+    return state._replace(expected=None)
 
 
 def _estimate(
@@ -147,13 +142,13 @@ def _estimate(
     rate = np.array(sample.climb_rate)
     if state.flying_since_us is None:
         fresh = payload.reset(state.estimator, rate, np.array(0.0), np.array(0.5))
-        state = replace(state, estimator=fresh, flying_since_us=sample.time_us)
+        state = state._replace(estimator=fresh, flying_since_us=sample.time_us)
     since_us = sample.time_us if state.flying_since_us is None else state.flying_since_us
     expected = state.expected
     if expected is not None and not expected.begun and sample.time_us >= expected.moment_us:
         opening = np.array(settings.estimator.detection.opening)
         empty = payload.reset(state.estimator, rate, np.array(0.0), opening)
-        state = replace(state, estimator=empty, expected=replace(expected, begun=True), pick_up=None)
+        state = state._replace(estimator=empty, expected=expected._replace(begun=True), pick_up=None)
     tilt_factor = np.array(cos(sample.attitude[0]) * cos(sample.attitude[1]))
     estimator, estimate = payload.step(
         settings.estimator, state.estimator, rate, tilt_factor, sample.fresh, sample.dt
@@ -162,14 +157,14 @@ def _estimate(
     if sample.time_us - since_us < round(settings.settle_s * 1e6) and state.load is None:
         if np.isfinite(estimator.suspected):  # it has just changed: begin anew
             estimator = payload.accept(settings.estimator, estimator)
-            state = replace(state, flying_since_us=sample.time_us)
-        return replace(state, estimator=estimator), ()
+            state = state._replace(flying_since_us=sample.time_us)
+        return state._replace(estimator=estimator), ()
     first = state.load is None
-    state = replace(state, estimator=estimator, load=load)
+    state = state._replace(estimator=estimator, load=load)
     outputs: list[Output] = []
     if first:
         outputs += _carrying(settings, load)
-        state = replace(state, told=load.mass)
+        state = state._replace(told=load.mass)
     if state.expected is not None:
         state, said = _watch_release(settings, state, load, sample.time_us)
     else:
@@ -206,25 +201,25 @@ def _watch_changes(
     time_us = sample.time_us
     doubtful = state.unrest_us is not None or sample.swinging
     if change != 0.0 and (doubtful or not _believable(settings, state, load, change)):
-        return replace(state, unrest_us=time_us, pick_up=None), ()
+        return state._replace(unrest_us=time_us, pick_up=None), ()
     if state.unrest_us is not None:
         return _watch_unrest(settings, state, load, time_us)
     if change > 0.0:
         before = load.mass - change if state.pick_up is None else state.pick_up.before
-        return replace(state, pick_up=PickUp(time_us, before)), ()
+        return state._replace(pick_up=PickUp(time_us, before)), ()
     if change < 0.0:
         before = load.mass - change
         dropped = -change if _clear(settings, load) else before
         drop = Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg")
-        return replace(state, pick_up=None, told=load.mass), (drop,)
+        return state._replace(pick_up=None, told=load.mass), (drop,)
     pick_up = state.pick_up
     if pick_up is None and np.isinf(state.estimator.suspected):
         told = load.mass + (state.told - load.mass) * exp(-sample.dt / TOLD_MEMORY_S)
-        return replace(state, told=told), ()
+        return state._replace(told=told), ()
     if pick_up is None or time_us - pick_up.since_us < round(settings.announce_s * 1e6):
         return state, ()
     text = f"picked up {load.mass - pick_up.before:.1f} kg"
-    return replace(state, pick_up=None, told=load.mass), (Announce(Severity.NOTICE, text),)
+    return state._replace(pick_up=None, told=load.mass), (Announce(Severity.NOTICE, text),)
 
 
 def _believable(settings: PayloadSettings, state: Awareness, load: Load, change: float) -> bool:
@@ -244,7 +239,7 @@ def _watch_unrest(settings: PayloadSettings, state: Awareness, load: Load, time_
     if time_us - state.unrest_us < round(CALM_S * 1e6):
         return state, ()
     news = abs(load.mass - state.told) > max(2.0 * settings.estimator.detection.minimum, _SURE * load.std)
-    state = replace(state, unrest_us=None, told=load.mass if news else state.told)
+    state = state._replace(unrest_us=None, told=load.mass if news else state.told)
     if not news:
         return state, ()
     if _clear(settings, load):
@@ -261,11 +256,11 @@ def _watch_release(settings: PayloadSettings, state: Awareness, load: Load, time
         return state, ()
     if load.mass < 0.5 * expected.load and load.std < 0.25 * expected.load:
         text = Announce(Severity.NOTICE, f"dropped {expected.load:.1f} kg")
-        return replace(state, expected=None, told=load.mass), (text,)
+        return state._replace(expected=None, told=load.mass), (text,)
     if elapsed < settings.release_timeout_s:
         return state, ()
     text = Announce(Severity.WARNING, f"release not seen: still {load.mass:.1f} kg")
-    return replace(state, expected=None), (text,)
+    return state._replace(expected=None), (text,)
 
 
 def _watch_limit(settings: PayloadSettings, state: Awareness, load: Load) -> _Told:
@@ -276,8 +271,8 @@ def _watch_limit(settings: PayloadSettings, state: Awareness, load: Load) -> _To
         return state, ()
     if not state.heavy and min(load.mass, state.told) - 2.0 * load.std > limit:
         text = f"load of {load.mass:.1f} kg is above the limit of {limit:.1f} kg"
-        return replace(state, heavy=True), (Announce(Severity.WARNING, text),)
-    return replace(state, heavy=state.heavy and load.mass > limit), ()
+        return state._replace(heavy=True), (Announce(Severity.WARNING, text),)
+    return state._replace(heavy=state.heavy and load.mass > limit), ()
 
 
 def _report(settings: PayloadSettings, state: Awareness, load: Load, time_us: int) -> _Told:
@@ -286,4 +281,4 @@ def _report(settings: PayloadSettings, state: Awareness, load: Load, time_us: in
         return state, ()
     std = load.std if state.unrest_us is None else max(load.std, abs(load.mass - state.told))
     report = PayloadReport(time_us, load.mass, std)
-    return replace(state, reported_us=time_us), (report,)
+    return state._replace(reported_us=time_us), (report,)

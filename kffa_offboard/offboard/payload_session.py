@@ -188,7 +188,7 @@ class PayloadSession(Session):
             or self._release_plan is not None
         ):
             return False
-        index, scenario = self._flight.scenario.index, self.settings.scenario
+        index, scenario = self._flight.scenario.segment_index, self.settings.scenario
         height = self._loop.altitude - self._flight.scenario.ground
         low = height < self.settings.flight.slow_height_m
         return low and index < len(scenario) and isinstance(scenario[index], Land)

@@ -8,9 +8,8 @@ about lift-off and touch-down).
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
 from math import floor, pi, sin, sqrt
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 from kffa_offboard.offboard.profile import Profile, plan_profile, profile_altitude
 from kffa_offboard.offboard.segments import (
@@ -84,8 +83,7 @@ def wave(segment: Wave, time_s: float) -> float:
 # --------------------------------------------------------------------------- the player
 
 
-@dataclass(frozen=True, slots=True)
-class ScenarioState:
+class ScenarioState(NamedTuple):
     """Where a scenario is.
 
     Attributes
@@ -93,7 +91,7 @@ class ScenarioState:
     hold_altitude : m, kept by holds, base of altitude waves
     yaw : rad, heading at engaging
     ground : m, altitude that take-off and landing count from
-    index, started_s : current segment and its nominal beginning
+    segment_index, started_s : current segment and its nominal beginning
     profile : of the current take-off
     near_since_s : since when the vehicle is at the take-off altitude
     descent_rate : m/s, momentary speed of the landing reference, positive down
@@ -105,7 +103,7 @@ class ScenarioState:
     hold_altitude: float
     yaw: float
     ground: float
-    index: int = 0
+    segment_index: int = 0
     started_s: float = 0.0
     profile: Profile | None = None
     near_since_s: float | None = None
@@ -115,8 +113,7 @@ class ScenarioState:
     origin: Offset = (0.0, 0.0)
 
 
-@dataclass(frozen=True, slots=True)
-class ScenarioOutput:
+class ScenarioOutput(NamedTuple):
     """What the scenario wants now.
 
     Attributes
@@ -128,14 +125,14 @@ class ScenarioOutput:
     """
 
     reference: Reference
-    gripper: tuple[Literal["grab", "release"], ...] = field(default=())
+    gripper: tuple[Literal["grab", "release"], ...] = ()
     done: bool = False
     fault: str | None = None
 
 
 def current_segment(segments: tuple[Segment, ...], state: ScenarioState) -> Segment | None:
     """The segment that is being flown; None after the last one."""
-    return segments[state.index] if state.index < len(segments) else None
+    return segments[state.segment_index] if state.segment_index < len(segments) else None
 
 
 def begin_takeoff(
@@ -154,7 +151,7 @@ def begin_takeoff(
         settings.acceleration_m_s2,
         climb_rate,
     )
-    return replace(state, started_s=now_s, profile=profile, near_since_s=None, hold_altitude=altitude)
+    return state._replace(started_s=now_s, profile=profile, near_since_s=None, hold_altitude=altitude)
 
 
 def step_scenario(
@@ -175,7 +172,7 @@ def step_scenario(
         if segment is None or (grounded and isinstance(segment, Takeoff)):
             level = _level(state)
             done = segment is None and len(segments) > 0
-            return replace(state, last_s=now_s), ScenarioOutput(level, tuple(actions), done)
+            return state._replace(last_s=now_s), ScenarioOutput(level, tuple(actions), done)
         if isinstance(segment, Gripper):
             actions.append(segment.action)
             state = _next(state, state.started_s)
@@ -184,7 +181,7 @@ def step_scenario(
             state = begin_takeoff(settings, segment, state, state.started_s, state.hold_altitude, 0.0)
         state, reference, ended_s, fault = _step_segment(settings, segment, state, now_s, altitude)
         if ended_s is None or fault is not None:
-            state = replace(state, last_s=now_s)
+            state = state._replace(last_s=now_s)
             return state, ScenarioOutput(reference, tuple(actions), False, fault)
         state = _next(state, ended_s)
 
@@ -194,9 +191,8 @@ def _level(state: ScenarioState) -> Reference:
 
 
 def _next(state: ScenarioState, ended_s: float) -> ScenarioState:
-    return replace(
-        state,
-        index=state.index + 1,
+    return state._replace(
+        segment_index=state.segment_index + 1,
         started_s=ended_s,
         profile=None,
         near_since_s=None,
@@ -240,7 +236,7 @@ def _step_move(settings: FlightSettings, segment: Move, state: ScenarioState, no
     elapsed = min(now_s, ends) - state.started_s
     share = profile_altitude(profile, elapsed) / profile.target if profile.target > 0.0 else 0.0
     offset = (state.origin[0] + share * segment.north_m, state.origin[1] - share * segment.east_m)
-    state = replace(state, offset=offset)
+    state = state._replace(offset=offset)
     return state, _level(state), ends if now_s >= ends else None, None
 
 
@@ -251,7 +247,7 @@ def _step_takeoff(settings: FlightSettings, state: ScenarioState, now_s: float, 
     near_since: float | None = now_s if state.near_since_s is None else state.near_since_s
     if elapsed < profile.duration or abs(altitude - profile.target) > settings.arrival_tolerance_m:
         near_since = None
-    state = replace(state, hold_altitude=profile_altitude(profile, elapsed), near_since_s=near_since)
+    state = state._replace(hold_altitude=profile_altitude(profile, elapsed), near_since_s=near_since)
     if near_since is not None and now_s - near_since >= settings.arrival_time_s:
         return state, _level(state), now_s, None
     fault = None
@@ -272,5 +268,5 @@ def _step_land(
     wanted = max(state.hold_altitude - rate * dt, altitude - settings.landing_lead_m)
     # The lead bound may not raise the reference again.
     wanted = min(wanted, state.hold_altitude)
-    state = replace(state, hold_altitude=wanted, descent_rate=rate)
+    state = state._replace(hold_altitude=wanted, descent_rate=rate)
     return state, _level(state), None, None

@@ -146,8 +146,8 @@ class RequestSession(PayloadSession):
         offset = (
             directive.offset if safe.place is None else (safe.place[0] - origin[0], safe.place[1] - origin[1])
         )
-        return replace(
-            directive, reference=(safe.roll, safe.pitch, yaw, safe.altitude + ground), offset=offset
+        return directive._replace(
+            reference=(safe.roll, safe.pitch, yaw, safe.altitude + ground), offset=offset
         )
 
     def _with_attitude_setpoint(self, directive: Directive) -> Directive:

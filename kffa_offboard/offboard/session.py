@@ -224,7 +224,7 @@ class Session:
         """The autopilot's own disarming after landing is no surprise; any other is somebody's decision."""
         flight = self._flight
         assert flight is not None
-        index, scenario = flight.scenario.index, self.settings.scenario
+        index, scenario = flight.scenario.segment_index, self.settings.scenario
         landing = index < len(scenario) and isinstance(scenario[index], Land)
         if flight.phase is Phase.TOUCHDOWN or (landing and flight.seen_in_air and self._known.on_ground):
             self._finish(Finished(flight.failure is None, flight.failure or "scenario done, landed"))

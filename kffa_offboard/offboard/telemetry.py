@@ -9,7 +9,6 @@ samples count as arrived.
 from __future__ import annotations
 
 from bisect import bisect_right
-from dataclasses import dataclass
 from math import cos, isfinite, nan, pi
 from typing import NamedTuple
 
@@ -66,8 +65,7 @@ class Telemetry(NamedTuple):
     invalid: int = 0
 
 
-@dataclass(frozen=True, slots=True)
-class Sample:
+class Sample(NamedTuple):
     """Outcome of one sample: accepted with the step `dt` [s] (0 for the first), dropped, or a fault."""
 
     accepted: bool

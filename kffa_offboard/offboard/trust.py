@@ -12,7 +12,6 @@ Pure functions over a frozen `Trust`; a fault is a line for people.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, exp, hypot, sin, tan
 from typing import NamedTuple
 
@@ -32,8 +31,7 @@ rate that is wrong by e shows as e times the memory."""
 _STEEPEST_RAD = 1.2  # Euler rates grow beyond bounds towards 90 degrees of pitch
 
 
-@dataclass(frozen=True, slots=True)
-class Still:
+class Still(NamedTuple):
     """Values and when they arrived first, us."""
 
     values: tuple[float, ...] = ()

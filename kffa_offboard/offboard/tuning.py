@@ -6,7 +6,7 @@ vocabulary between it and MAVLink, and how the service goes on with other settin
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 from kffa_offboard.control.retuning import retuned
@@ -66,4 +66,4 @@ def adopt(loop: LoopState | None, before: ServiceSettings, after: ServiceSetting
     if loop.horizontal is None or before.position is None or after.position is None:
         return loop
     rings = before.position.ring.controller, after.position.ring.controller
-    return loop._replace(horizontal=replace(loop.horizontal, ring=retuned(*rings, loop.horizontal.ring)))
+    return loop._replace(horizontal=loop.horizontal._replace(ring=retuned(*rings, loop.horizontal.ring)))

@@ -51,6 +51,8 @@ class Bench:
         """Let both sides answer each other until they are silent."""
         while True:
             todo = self.keeper.take()
+            if todo is None:
+                return
             self.checked += todo.events
             self.texts += [announcement.text for announcement in todo.announcements]
             self.sent += todo.messages

@@ -73,7 +73,7 @@ def test_leaving_the_fence_is_a_failsafe(fake):
         if not isinstance(event, events.PositionReceived):
             return event
         away[0] += 0.1
-        return replace(event, position=(away[0], 0.0, event.position[2]))
+        return event._replace(position=(away[0], 0.0, event.position[2]))
 
     flight.change = drift
     flight.run(3.0, lambda: flight.service.state is State.FAILSAFE)
@@ -92,6 +92,6 @@ def test_rates_out_of_limits_are_a_failsafe_within_the_same_call(fake, kind, cha
     flight = ready(fake)
     flight.give(events.EngageRequested())
     flight.run_to(State.ENGAGED)
-    flight.change = lambda event: replace(event, **change) if isinstance(event, kind) else event
+    flight.change = lambda event: event._replace(**change) if isinstance(event, kind) else event
     flight.tick()
     assert flight.service.state is State.FAILSAFE and f"failsafe: {reason}" in flight.texts

@@ -70,7 +70,7 @@ def test_segments_keep_their_nominal_times_however_coarse_the_samples():
     state = ScenarioState(hold_altitude=1.0, yaw=0.0, ground=0.0)
     for now in (0.0, 0.2, 0.4, 0.6):
         state, out = step_scenario(SETTINGS, segments, state, now, 1.0)
-    assert (state.index, out.reference[0]) == (1, 0.1)
+    assert (state.segment_index, out.reference[0]) == (1, 0.1)
     state, out = step_scenario(SETTINGS, segments, state, 0.8, 1.0)
     assert out.gripper == ("grab",)
     assert state.started_s == pytest.approx(0.66)

@@ -1,7 +1,5 @@
 """From the ground into the air and back: take-off, scenario, landing, release."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -81,7 +79,7 @@ def test_the_takeoff_altitude_counts_from_the_ground_where_it_stood(fake):
     flight = fake.Lockstep(fake.settings(scenario=(Takeoff(2.0), Hold(100.0))))
     drift = [0.0]
     flight.change = lambda event: (
-        replace(event, position=(0.0, 0.0, event.position[2] + drift[0]))
+        event._replace(position=(0.0, 0.0, event.position[2] + drift[0]))
         if isinstance(event, events.PositionReceived)
         else event
     )
@@ -97,7 +95,7 @@ def test_a_drifting_estimate_on_the_ground_is_no_liftoff(fake):
     flight.run(1.1)
     start = flight.time_us
     flight.change = lambda event: (
-        replace(event, position=(0.0, 0.0, event.position[2] + (flight.time_us - start) * 0.3e-6))
+        event._replace(position=(0.0, 0.0, event.position[2] + (flight.time_us - start) * 0.3e-6))
         if isinstance(event, events.PositionReceived)
         else event
     )

@@ -180,7 +180,7 @@ def test_a_frozen_stream_is_a_failsafe(fake):
     flight = hovering(fake)
     frozen = flight.time_us
     flight.change = lambda event: (
-        replace(event, sample_time_us=frozen) if isinstance(event, events.AttitudeReceived) else event
+        event._replace(sample_time_us=frozen) if isinstance(event, events.AttitudeReceived) else event
     )
     flight.run(0.3)
     assert flight.service.state is State.FAILSAFE
@@ -190,7 +190,7 @@ def test_a_frozen_stream_is_a_failsafe(fake):
 def test_single_repeated_samples_are_tolerated(fake):
     flight = hovering(fake)
     flight.change = lambda event: (
-        replace(event, sample_time_us=event.sample_time_us - event.sample_time_us % 20_000)
+        event._replace(sample_time_us=event.sample_time_us - event.sample_time_us % 20_000)
         if isinstance(event, events.AttitudeReceived)
         else event
     )
@@ -201,7 +201,7 @@ def test_single_repeated_samples_are_tolerated(fake):
 
 def corrupt(**changes):
     def change(event):
-        return replace(event, **changes)
+        return event._replace(**changes)
 
     return change
 
@@ -218,7 +218,7 @@ def corrupt(**changes):
 )
 def test_what_cannot_be_true_is_a_failsafe_within_the_same_call(fake, kind, changes, reason):
     flight = hovering(fake)
-    flight.change = lambda event: replace(event, **changes) if isinstance(event, kind) else event
+    flight.change = lambda event: event._replace(**changes) if isinstance(event, kind) else event
     flight.tick()
     assert flight.service.state is State.FAILSAFE
     assert flight.texts[0].startswith(f"failsafe: {reason[:15]}")
@@ -237,7 +237,7 @@ def test_tilt_out_of_limits_is_a_failsafe(fake):
         if not isinstance(event, events.AttitudeReceived):
             return event
         rolling[0] += 0.05
-        return replace(event, attitude=(rolling[0], 0.0, 0.0), body_rates=(5.0, 0.0, 0.0))
+        return event._replace(attitude=(rolling[0], 0.0, 0.0), body_rates=(5.0, 0.0, 0.0))
 
     flight.change = roll
     flight.run(0.5)
@@ -298,7 +298,7 @@ def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeyp
 
     def broken(*arguments):
         state, output = honest(*arguments)
-        return state, replace(output, command=np.array([0.0, nan, 0.0, 0.4]))
+        return state, output._replace(command=np.array([0.0, nan, 0.0, 0.4]))
 
     monkeypatch.setattr(controllers, "step", broken)
     flight.tick()
@@ -309,7 +309,7 @@ def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeyp
 def test_a_takeoff_that_gets_stuck_is_a_failsafe(fake):
     flight = fake.Lockstep(fake.settings(scenario=(Takeoff(5.0),)), fake.airborne()).run_to(State.ENGAGED)
     flight.change = lambda event: (
-        replace(event, position=(0.0, 0.0, 3.0), velocity=(0.0, event.velocity[1], 0.0))
+        event._replace(position=(0.0, 0.0, 3.0), velocity=(0.0, event.velocity[1], 0.0))
         if isinstance(event, events.PositionReceived)
         else event
     )
@@ -329,7 +329,7 @@ def test_an_autopilot_that_restarts_is_observed_anew(fake):
     flight = fake.Lockstep(fake.settings(engage=False)).run_to(State.READY)
     earlier = 4_000_000
     flight.change = lambda event: (
-        replace(event, sample_time_us=event.sample_time_us - earlier)
+        event._replace(sample_time_us=event.sample_time_us - earlier)
         if isinstance(event, (events.AttitudeReceived, events.PositionReceived))
         else event
     )

@@ -89,6 +89,9 @@ class BusyService:
     def next_deadline(self):
         return self.due_us
 
+    def prepare(self):
+        pass
+
 
 def fly(link, tmp_path, sources=()):
     log, heard = tmp_path / "flight.tlog", []

@@ -50,7 +50,7 @@ class Pilot:
 
     def __call__(self, vehicle: Any) -> bool:
         state = self._flight.session.service._flight
-        if self.begun_us is None and (state is None or state.scenario.index < 1):
+        if self.begun_us is None and (state is None or state.scenario.segment_index < 1):
             return False
         self.begun_us = vehicle.time_us if self.begun_us is None else self.begun_us
         elapsed = (vehicle.time_us - self.begun_us) * 1e-6
