@@ -22,28 +22,30 @@ P = ParamSpec("P")
 R = TypeVar("R", bound=tuple[Any, ...])
 
 
-def _value(array: np.ndarray[Any, Any]) -> Any:
-    """What stands for an array in a key; a large one is like no other."""
-    return (array.tobytes(), array.shape, array.dtype.char) if array.size <= LARGEST else object()
-
-
 def remember(function: Callable[P, R]) -> Callable[P, R]:
     """Keep the last results of a pure function that returns a tuple, of arrays for instance.
 
-    Arguments go by position. Arrays count by value, everything else as it hashes: dataclasses of parameters,
-    with ``eq=False``, by identity. Nobody may write into a result.
+    Arguments go by position. Arrays count by value, everything else as it hashes:
+    dataclasses of parameters, with ``eq=False``, by identity. Nobody may write into a result.
     """
     results: dict[Any, R] = {}
 
     @wraps(function)
     def recall(*args: P.args, **kwargs: P.kwargs) -> R:
-        key = tuple([_value(a) if type(a) is np.ndarray else a for a in args])
+        parts: list[Any] = []
+        for value in args:
+            if type(value) is np.ndarray:
+                if value.size > LARGEST:
+                    return function(*args, **kwargs)
+                parts.append((value.tobytes(), value.shape, value.dtype.char))
+            else:
+                parts.append(value)
+        key = tuple(parts)
         known = results.get(key)
         if known is not None:
             return known
         result = function(*args, **kwargs)
-        # A key with a large array is never found again: that result is not kept either.
-        for value in (*args, *result):
+        for value in result:
             if type(value) is np.ndarray and value.size > LARGEST:
                 return result
         if len(results) >= REMEMBERED:

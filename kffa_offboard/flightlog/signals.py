@@ -12,6 +12,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -48,6 +49,9 @@ _PLACE = _SATURATED + CHANNELS
 _SIZE = 58
 _LATENCY = _SIZE - 1
 _NAME = NAME.encode()
+_NO_PLACE = (0.0, 0.0, 0.0)
+_SPARE = (0.0,) * (_LATENCY - _PLACE - len(_NO_PLACE))
+_blocks = attrgetter(*BLOCKS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,17 +93,15 @@ def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Any:
     Raises ValueError for a block that has not four values or a state without a number.
     """
     data: list[float] = []
-    for name in BLOCKS:
-        block = getattr(signals, name)
+    for name, block in zip(BLOCKS, _blocks(signals), strict=True):
         if len(block) != CHANNELS:
             raise ValueError(f"signals.{name} has {len(block)} values; {CHANNELS} channels are needed")
         data += block
     if signals.state not in STATE_NAMES:
         raise ValueError(f"signals.state {signals.state!r} is none of {', '.join(STATE_NAMES)}")
-    data += [STATE_NAMES.index(signals.state), signals.dt, *signals.saturated]
-    if signals.position_reference is not None:
-        data += [1.0, *signals.position_reference]
-    data += [0.0] * (_LATENCY - len(data))
+    data += (STATE_NAMES.index(signals.state), signals.dt, *signals.saturated)
+    data += _NO_PLACE if signals.position_reference is None else (1.0, *signals.position_reference)
+    data += _SPARE
     data.append(signals.latency_s)
     packable = array("f", data)  # what float32 cannot hold is logged as infinite
     return mavlink.MAVLink_debug_float_array_message(signals.time_us, _NAME, array_id, packable)

@@ -13,6 +13,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.mavlink.transport import Datagram
 
+_MARKER = 0xFD
+_OVERHEAD = 12
+"""First byte of a MAVLink 2 frame, and its bytes beside the payload."""
+
 Message: TypeAlias = Any
 """A pymavlink message; which fields it has depends on its type (`get_type()`)."""
 
@@ -84,7 +88,7 @@ class FrameParser:
             self._parser = _new_parser()
         self._source = datagram.source
         messages: list[Message] = []
-        for message in self._parser.parse_buffer(datagram.data) or []:
+        for message in self._single(datagram.data) or self._parser.parse_buffer(datagram.data) or []:
             if message.get_type() == "BAD_DATA":
                 self.damaged_bytes += len(message.data)
             elif message.get_type() == "SETUP_SIGNING":
@@ -92,6 +96,16 @@ class FrameParser:
             else:
                 messages.append(message)
         return messages
+
+    def _single(self, data: bytes) -> list[Message] | None:
+        """The message of a datagram that is one undamaged MAVLink 2 frame; None for all others."""
+        whole = self._keeps_frames_whole and len(data) > _OVERHEAD and data[0] == _MARKER and not data[2]
+        if not whole or len(data) != data[1] + _OVERHEAD or self._parser.buf_len():
+            return None
+        try:
+            return [self._parser.decode(bytearray(data))]
+        except mavlink.MAVError:
+            return None  # damaged: what of it can be used is the parser's to find
 
 
 def _without_key(message: Message) -> Message:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from operator import methodcaller
 from typing import Literal, Protocol, TypeAlias
 
 from kffa_offboard.mavlink import parameter_keeper
@@ -36,6 +37,8 @@ from kffa_offboard.offboard.events import (
 )
 
 LOG = logging.getLogger(__name__)
+
+_header = methodcaller("get_header")
 
 Observer: TypeAlias = Callable[[int, Event | Output | ProcessReport], None]
 """Is told every event before and every output after the service, with its time [us]; for status lines."""
@@ -158,6 +161,8 @@ class Session:
         self._compare_clocks = compare_clocks
         self._rivals = RivalWatch(route)
         self._notices: list[IntrusionNoticed] = []
+        self._due_us: int | None = None
+        self._due_known = False  # what is done here may change what is due
 
     def read(self, datagram: Datagram) -> list[Message]:
         """Messages in a datagram. The first one of the target ties the link to its sender.
@@ -171,11 +176,13 @@ class Session:
         if datagram.stranger:
             self._look_at_stranger(datagram, messages)
             return []
-        senders = {(message.get_srcSystem(), message.get_srcComponent()) for message in messages}
-        self.heard |= senders - {(0, 0)}  # what pymavlink cannot decode has no sender
-        if any(self.route.from_target(message) for message in messages):
+        route = self.route
+        senders = {(header.srcSystem, header.srcComponent) for header in map(_header, messages)}
+        if not senders <= self.heard:
+            self.heard |= senders - {(0, 0)}  # what pymavlink cannot decode has no sender
+        if (route.target_system, route.target_component) in senders:
             self.link.lock(datagram.source)
-        if (self.route.own_system, self.route.own_component) in senders:
+        if (route.own_system, route.own_component) in senders:
             return self._without_own(messages)
         return messages
 
@@ -218,6 +225,7 @@ class Session:
         noticed = self._rivals.watch(time_us, message)
         if noticed is not None:
             self.tell(time_us, noticed)
+        self._due_known = False
         for event in self._vehicle.decode(message) if from_target else ():
             if isinstance(event, HeartbeatReceived) and self._parameters is not None:
                 self._parameters.heartbeat(time_us, event)
@@ -243,6 +251,7 @@ class Session:
         """Do what is due before `time_us`, then hand an event to the service and send what it answers."""
         self.advance(time_us)
         self._observe(time_us, event)
+        self._due_known = False
         self._dispatch(time_us, self.service.handle(time_us, event))
 
     def advance(self, time_us: int) -> None:
@@ -250,9 +259,11 @@ class Session:
         if self._time_us is None:
             if self._recorder is not None:
                 self._recorder.write_begin(time_us)
+            self._due_known = False
             self._dispatch(time_us, self.service.advance(time_us))
         self._time_us = time_us
         while (due_us := self.next_deadline()) is not None and due_us <= time_us:
+            self._due_known = False
             if self.service.finished is None:
                 self._dispatch(due_us, self.service.advance(due_us))
             if self._parameters is not None:
@@ -263,6 +274,12 @@ class Session:
 
     def next_deadline(self) -> int | None:
         """When `advance` must be called next, us; None if nothing is due without an event."""
+        if not self._due_known:
+            self._due_us, self._due_known = self._first_due(), True
+        return self._due_us
+
+    def _first_due(self) -> int | None:
+        """Of the service, the parameters and the companion."""
         first = self.service.next_deadline() if self.service.finished is None else None
         keeper = None if self._parameters is None else self._parameters.due_us()
         if first is None or (keeper is not None and keeper < first):
@@ -297,6 +314,7 @@ class Session:
         if self._recorder is not None:
             self._recorder.write_report(time_us, report)
         self._observe(time_us, report)
+        self._due_known = False
         self._companion.report(time_us, report)
         self._reply(time_us)
 
@@ -304,6 +322,7 @@ class Session:
         """Begin to put the vehicle's parameters back, whatever the service does; True when that is over."""
         if self._parameters is None:
             return True
+        self._due_known = False
         self._parameters.finish(time_us)
         self._follow_parameters(time_us)
         return self._parameters.done
@@ -318,6 +337,7 @@ class Session:
         if self._parameters is None:
             return
         if self.service.finished is not None:
+            self._due_known = False
             self._parameters.finish(time_us)
         todo = self._parameters.take()
         if todo is None:

@@ -84,7 +84,7 @@ class Service(ControlSession):
         """When `advance` must be called next, microseconds; None before the first call."""
         if self._now_us is None:
             return None
-        return self._next()[0]
+        return (self._earliest or self._next())[0]
 
     def _take_outputs(self) -> list[Output]:
         outputs, self._outputs = self._outputs, []
@@ -99,10 +99,8 @@ class Service(ControlSession):
             raise ValueError(
                 f"event at {time_us} us comes after one at {self._now_us} us; keep them in order"
             )
-        while True:
-            due, run = self._next()
-            if due > time_us:
-                break
+        while (deadline := self._earliest or self._next())[0] <= time_us:
+            due, run = deadline
             self._now_us = due if self._now_us is None else max(due, self._now_us)
             self._earliest = None
             run(due)
@@ -110,8 +108,7 @@ class Service(ControlSession):
 
     def _next(self) -> Deadline:
         """The earliest deadline; looked for again after what may change it, an event or a deadline."""
-        if self._earliest is None:
-            self._earliest = min(self._deadlines(), key=itemgetter(0))
+        self._earliest = min(self._deadlines(), key=itemgetter(0))
         return self._earliest
 
     def _deadlines(self) -> list[Deadline]:
