@@ -21,6 +21,7 @@ from kffa_offboard.offboard.events import (
     EngageRequested,
     IntrusionNoticed,
     ProcessReport,
+    PutBackRequested,
     ReleaseRequested,
     StepTiming,
     Trouble,
@@ -37,7 +38,7 @@ _PAYLOAD_SIZE = 128
 _TEXT_SIZE = _PAYLOAD_SIZE - _CHUNK.size
 
 NoteKind: TypeAlias = Literal["header", "request", "report", "end"]
-Request: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed
+Request: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | PutBackRequested
 
 
 @dataclass(frozen=True)
@@ -134,6 +135,8 @@ def _document(note: Note) -> dict[str, Any]:
             return {"note": "request", "what": "engage"}
         case ReleaseRequested(reason):
             return {"note": "request", "what": "release", "reason": reason}
+        case PutBackRequested():
+            return {"note": "request", "what": "put back"}
         case IntrusionNoticed(text, consequence):
             return {"note": "request", "what": "intrusion", "text": text, "consequence": consequence}
         case StepTiming():
@@ -162,6 +165,8 @@ def _note(document: dict[str, Any]) -> Note:
             return EngageRequested()
         case {"note": "request", "what": "release", "reason": str(reason)}:
             return ReleaseRequested(reason)
+        case {"note": "request", "what": "put back"}:
+            return PutBackRequested()
         case {"note": "request", "what": "intrusion", **fields}:
             return _checked(IntrusionNoticed, fields)
         case {"note": "report", "what": "timing", **fields}:

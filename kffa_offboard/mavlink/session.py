@@ -32,6 +32,7 @@ from kffa_offboard.offboard.events import (
     IntrusionNoticed,
     Output,
     ProcessReport,
+    PutBackRequested,
     ReleaseRequested,
     Signals,
 )
@@ -44,7 +45,7 @@ Observer: TypeAlias = Callable[[int, Event | Output | ProcessReport], None]
 """Is told every event before and every output after the service, with its time [us]; for status lines."""
 
 
-ProcessRequest: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed
+ProcessRequest: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | PutBackRequested
 """What comes in no MAVLink message, but from the daemon's own process or its link."""
 
 MOST_NOTICES = 16
@@ -302,11 +303,16 @@ class Session:
         return () if self._parameters is None else self._parameters.changes
 
     def request(self, time_us: int, request: ProcessRequest) -> None:
-        """Tell the service what the daemon's own process asks for or has noticed, and record it."""
+        """Do what the daemon's own process asks for, or tell the service of it, and record it."""
         self.advance(time_us)
         if self._recorder is not None:
             self._recorder.write_request(time_us, request)
-        self.tell(time_us, request)
+        if not isinstance(request, PutBackRequested):
+            self.tell(time_us, request)
+        elif self._parameters is not None:
+            self._due_known = False
+            self._parameters.finish(time_us)
+            self._follow_parameters(time_us)
 
     def report(self, time_us: int, report: ProcessReport) -> None:
         """Record and publish what the daemon's own process reports; the service is not told."""
@@ -320,11 +326,10 @@ class Session:
 
     def put_back(self, time_us: int) -> bool:
         """Begin to put the vehicle's parameters back, whatever the service does; True when that is over."""
-        if self._parameters is None:
+        if self._parameters is None or self._parameters.done:
             return True
-        self._due_known = False
-        self._parameters.finish(time_us)
-        self._follow_parameters(time_us)
+        if not self._parameters.finishing:
+            self.request(time_us, PutBackRequested())
         return self._parameters.done
 
     def close(self, reason: str) -> None:

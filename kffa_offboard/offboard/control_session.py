@@ -24,10 +24,11 @@ class ControlSession(RequestSession):
         super().__init__(settings)
         self._flown: Mapping[int, Array] = {}
         self._stepped: tuple[Order, LoopStep] | None = None
+        self._last_dt = 0.0
         self._period_s: float | None = None
 
     def prepare(self) -> None:
-        """Work out, in time left over, what the next control step will look up if it comes like the last.
+        """Work out, in time left over, what the next control step will look up if it comes like the last two.
 
         Nothing changes but the time that the step takes.
         """
@@ -62,7 +63,8 @@ class ControlSession(RequestSession):
         self._emit(signals(result.trace, order.state_name, latency_s))
         if result.fault is None:
             self._watch_payload(time_us, result.trace, order)
-        self._period_s = result.trace.dt
+        dt = result.trace.dt
+        self._last_dt, self._period_s = dt, dt if dt == self._last_dt else None
 
     def _order(self, time_us: int) -> Order:
         """What this step is to do in the present state."""

@@ -181,6 +181,11 @@ class IntrusionNoticed:
 
 
 @dataclass(frozen=True, slots=True)
+class PutBackRequested:
+    """The run ends without waiting longer for the service: put the vehicle's parameters back."""
+
+
+@dataclass(frozen=True, slots=True)
 class PositionSetpoint:
     """Go to x, y and z [m] from the estimator's origin, heading `yaw` [rad]; None leaves it as it is.
 

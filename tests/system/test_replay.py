@@ -14,6 +14,7 @@ from kffa_offboard.config_log import config_of
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.tlog import TIMESTAMP, read_tlog
 from kffa_offboard.mavlink.parameter_file import ParameterFile
+from kffa_offboard.offboard.events import PutBackRequested
 from kffa_offboard.replay.compare import compare, what_if
 from kffa_offboard.replay.engine import replay, replay_what_if
 from kffa_offboard.replay.recording import read_recording
@@ -192,17 +193,49 @@ def test_other_peoples_logs_are_refused_with_a_way_on(tmp_path):
 
 
 def test_parameters_that_were_set_and_put_back_are_in_the_replay(lock_step_flight, tmp_path):
-    flight = lock_step_flight("ardupilot")
-    flight.daemon = replace(
-        flight.daemon,
-        autopilot=replace(flight.daemon.autopilot, fix_parameters=True),
-        overrides=replace(flight.daemon.overrides, fix_parameters=True),
-    )
-    flight.check_parameters(ParameterFile(tmp_path / "changed.json"), fix=True)
-    flight.vehicle.firmware.parameters.set("GUID_TIMEOUT", 3.0)
+    flight = with_parameters_to_fix(lock_step_flight("ardupilot"), tmp_path)
     flight.log = tmp_path / "fixed.tlog"
     flight.fly(lambda vehicle: vehicle.time_us > 5_000_000)
     recording, again = replayed(flight.log)
     sent = [m for _, m in read_tlog(flight.log) if m.get_type() == "PARAM_SET"]
     assert [m.param_value for m in sent if m.param_id == "GUID_TIMEOUT"] == [0.5, 3.0]
     assert compare(recording, again).difference is None
+
+
+def test_parameters_that_are_put_back_because_nobody_lets_go_are_in_the_replay(lock_step_flight, tmp_path):
+    patient = tmp_path / "patient.toml"
+    patient.write_text(bundled("demo-ardupilot.toml").read_text() + "\n[sequence]\nhold_timeout_s = 10\n")
+    flight = with_parameters_to_fix(lock_step_flight("ardupilot", daemon_file=patient), tmp_path)
+    flight.link_to = that_loses_mode_commands_after_the_stop(flight)
+    flight.log = tmp_path / "kept.tlog"
+    flight.fly(lambda vehicle: vehicle.time_us > 12_000_000)
+    recording, again = replayed(flight.log)
+    (asked_us,) = [time_us for time_us, item in recording.incoming if isinstance(item, PutBackRequested)]
+    assert asked_us == pytest.approx(15_000_000, abs=20_000), "3 s after the stop"
+    assert flight.session.changed_parameters, "they stay while the autopilot follows our setpoints"
+    assert compare(recording, again).difference is None
+
+
+def with_parameters_to_fix(flight, directory):
+    """Its vehicle has a GUID_TIMEOUT that is too long."""
+    flight.daemon = replace(
+        flight.daemon,
+        autopilot=replace(flight.daemon.autopilot, fix_parameters=True),
+        overrides=replace(flight.daemon.overrides, fix_parameters=True),
+    )
+    flight.check_parameters(ParameterFile(directory / "changed.json"), fix=True)
+    flight.vehicle.firmware.parameters.set("GUID_TIMEOUT", 3.0)
+    return flight
+
+
+def that_loses_mode_commands_after_the_stop(flight):
+    """The flight's kind of link, on which it cannot let go."""
+    reader = mavlink.MAVLink(None)
+
+    class Link(flight.link_to):
+        def send(self, data):
+            message = reader.decode(bytearray(data))
+            lost = message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_DO_SET_MODE
+            return True if lost and flight.stop.is_set() else super().send(data)
+
+    return Link
