@@ -227,16 +227,19 @@ class Service(ControlSession):
         self._follow_heartbeat(time_us, event)
 
     def _on_position(self, time_us: int, event: events.PositionReceived) -> None:
-        last = self._known.position
+        before, last = self._known, self._known.position
         self._known, sample = telemetry.receive_position(
             self.settings.telemetry, self.settings.limits, self._known, time_us, event
         )
         jump = position_jump(self.settings.position, last, event) if sample.accepted else None
         fault = sample.fault or jump
         if sample.accepted and fault is None:
-            self._trust, fault = trust.watch_position(
+            self._trust, fits, fault = trust.watch_position(
                 self.settings.telemetry, self.settings.limits, self._trust, time_us, event, self._flying
             )
+            if not fits:
+                self._known = trust.pass_over(before)
+                self._say_once(Severity.WARNING, "climb rate jumps: sample passed over")
         if fault is not None:
             self._fault(time_us, fault)
         else:

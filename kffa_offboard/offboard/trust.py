@@ -4,8 +4,12 @@
 
 - values that stand still to the last bit while their clock goes on: an estimator or a gateway that hangs;
 - samples that come later and later: a link whose buffers fill;
+- a climb rate that jumps as no vehicle can: samples are passed over, as if they were lost, until one fits;
 - a rate that is not the derivative of its quantity, in attitude and in height: with a wrong body rate or
   climb rate the observers push the vehicle away at full authority while the position looks right at first.
+
+Of the last there are two memories. The quick one bounds what one sample can add, so that an estimator may
+set its angle or height anew (one step, with rates that fit before and after); the slow one takes all.
 
 Pure functions over a frozen `Trust`; a fault is a line for people.
 """
@@ -17,6 +21,7 @@ from typing import NamedTuple
 
 from kffa_offboard.offboard.events import AttitudeReceived, PositionReceived, Vector3
 from kffa_offboard.offboard.settings import LimitSettings, TelemetrySettings
+from kffa_offboard.offboard.telemetry import Telemetry
 
 DELAY_WINDOW_US = 1_000_000
 """The smallest delay of the last one to two of these is what a sample's delay is compared with."""
@@ -27,6 +32,22 @@ HEIGHT_MEMORY_S = 1.0
 HEIGHT_MISMATCH_M = 2.0
 """How much a quantity and its integrated rate may differ, in a memory that fades with this time constant: a
 rate that is wrong by e shows as e times the memory."""
+
+QUICK_ANGLE_MEMORY_S = 0.2
+QUICK_ANGLE_MISMATCH_RAD = 0.2
+QUICK_ANGLE_RATE_RAD_S, QUICK_ANGLE_STEP_RAD = 6.0, 0.1
+QUICK_HEIGHT_MEMORY_S = 0.3
+QUICK_HEIGHT_MISMATCH_M = 0.3
+QUICK_HEIGHT_RATE_M_S, QUICK_HEIGHT_STEP_M = 6.0, 0.2
+"""The same, quick: one sample adds no more than this rate over its step, and no more than this step."""
+
+CLIMB_RATE_JUMP_M_S = 1.0
+CLIMB_ACCELERATION_M_S2, CLIMB_ACCELERATION_TIME_S = 15.0, 0.1
+"""What the climb rate may change by from one sample to the next: touch-down or a reset of the estimator at
+once, and an acceleration for the time between them, of which no more counts than this."""
+
+PASSED_OVER_MAX_S = 0.15
+"""For how long no climb rate may fit."""
 
 _STEEPEST_RAD = 1.2  # Euler rates grow beyond bounds towards 90 degrees of pitch
 
@@ -55,8 +76,9 @@ class Trust(NamedTuple):
     attitude, position : the last samples
     still_attitude, still_position : since when their values are the same
     delay : of the attitude
-    angle_mismatch : rad, roll and pitch less their integrated rates, fading
-    height_mismatch : m, the same for height
+    angle_mismatch, quick_angle_mismatch : rad, roll and pitch less their integrated rates, fading
+    height_mismatch, quick_height_mismatch : m, the same for height
+    odd_since_us : sample time since when no climb rate fits; None if the last one did
     """
 
     attitude: AttitudeReceived | None = None
@@ -65,7 +87,10 @@ class Trust(NamedTuple):
     still_position: Still = Still()
     delay: Delay = Delay()
     angle_mismatch: tuple[float, float] = (0.0, 0.0)
+    quick_angle_mismatch: tuple[float, float] = (0.0, 0.0)
     height_mismatch: float = 0.0
+    quick_height_mismatch: float = 0.0
+    odd_since_us: int | None = None
 
 
 def watch_attitude(
@@ -82,13 +107,15 @@ def watch_attitude(
         return trust, f"body rate {fastest:.3g} rad/s, {limits.attitude_rate_max_rad_s:g} possible"
     delay, fault = _follow_delay(settings, trust.delay, time_us, event.sample_time_us)
     still = _stand_still(trust.still_attitude, (*event.attitude, *event.body_rates), time_us)
-    mismatch = _angle_mismatch(trust, event)
-    trust = trust._replace(attitude=event, delay=delay, still_attitude=still, angle_mismatch=mismatch)
+    slow, quick = _angle_mismatch(trust, event)
+    trust = trust._replace(
+        attitude=event, delay=delay, still_attitude=still, angle_mismatch=slow, quick_angle_mismatch=quick
+    )
     if fault is not None:
         return trust, fault
     if flying and time_us - still.since_us > round(settings.frozen_time_s * 1e6):
         return trust, f"attitude stands still for {settings.frozen_time_s:g} s"
-    if hypot(*mismatch) > ANGLE_MISMATCH_RAD:
+    if hypot(*slow) > ANGLE_MISMATCH_RAD or hypot(*quick) > QUICK_ANGLE_MISMATCH_RAD:
         return trust, "body rates do not fit the attitude"
     return trust, None
 
@@ -100,19 +127,39 @@ def watch_position(
     time_us: int,
     event: PositionReceived,
     flying: bool,
-) -> tuple[Trust, str | None]:
-    """Take in an accepted position; `flying`: in our hands and in the air."""
+) -> tuple[Trust, bool, str | None]:
+    """Take in an accepted position, or pass it over (the second is then False): its climb rate cannot be.
+
+    `flying`: in our hands and in the air.
+    """
     climb_rate = abs(event.velocity[2])
     if climb_rate > limits.climb_rate_max_m_s:
-        return trust, f"climb rate {climb_rate:.3g} m/s, {limits.climb_rate_max_m_s:g} allowed"
+        return trust, True, f"climb rate {climb_rate:.3g} m/s, {limits.climb_rate_max_m_s:g} allowed"
+    odd = _climb_rate_jump(trust.position, event)
+    if odd is not None:
+        since_us = event.sample_time_us if trust.odd_since_us is None else trust.odd_since_us
+        lasts = event.sample_time_us - since_us >= round(PASSED_OVER_MAX_S * 1e6)
+        return trust._replace(odd_since_us=since_us), False, odd if lasts else None
     still = _stand_still(trust.still_position, (*event.position, *event.velocity), time_us)
-    mismatch = _height_mismatch(trust, event)
-    trust = trust._replace(position=event, still_position=still, height_mismatch=mismatch)
+    slow, quick = _height_mismatch(trust, event)
+    trust = trust._replace(
+        position=event,
+        still_position=still,
+        height_mismatch=slow,
+        quick_height_mismatch=quick,
+        odd_since_us=None,
+    )
     if flying and time_us - still.since_us > round(settings.frozen_time_s * 1e6):
-        return trust, f"position stands still for {settings.frozen_time_s:g} s"
-    if abs(mismatch) > HEIGHT_MISMATCH_M:
-        return trust, "climb rate does not fit the altitude"
-    return trust, None
+        return trust, True, f"position stands still for {settings.frozen_time_s:g} s"
+    if abs(slow) > HEIGHT_MISMATCH_M or abs(quick) > QUICK_HEIGHT_MISMATCH_M:
+        return trust, True, "climb rate does not fit the altitude"
+    return trust, True, None
+
+
+def pass_over(known: Telemetry) -> Telemetry:
+    """What is known, with one position sample more that was dropped."""
+    stream = known.position_stream
+    return known._replace(position_stream=stream._replace(dropped=stream.dropped + 1))
 
 
 def _stand_still(still: Still, values: tuple[float, ...], time_us: int) -> Still:
@@ -145,16 +192,21 @@ def _euler_rates(event: AttitudeReceived) -> tuple[float, float]:
     return p + tan(pitch) * (q * sine + r * cosine), q * cosine - r * sine
 
 
-def _angle_mismatch(trust: Trust, event: AttitudeReceived) -> tuple[float, float]:
+def _angle_mismatch(trust: Trust, event: AttitudeReceived) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Slow and quick, of roll and pitch."""
     last = trust.attitude
     if last is None or max(_tilt(last.attitude), _tilt(event.attitude)) > _STEEPEST_RAD:
-        return (0.0, 0.0)
+        return (0.0, 0.0), (0.0, 0.0)
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
-    keep, before, now = exp(-dt / ANGLE_MEMORY_S), _euler_rates(last), _euler_rates(event)
-    moved_roll, moved_pitch = event.attitude[0] - last.attitude[0], event.attitude[1] - last.attitude[1]
+    before, now = _euler_rates(last), _euler_rates(event)
+    roll = event.attitude[0] - last.attitude[0] - 0.5 * dt * (before[0] + now[0])
+    pitch = event.attitude[1] - last.attitude[1] - 0.5 * dt * (before[1] + now[1])
+    keep, keep_quick = exp(-dt / ANGLE_MEMORY_S), exp(-dt / QUICK_ANGLE_MEMORY_S)
+    most = min(QUICK_ANGLE_RATE_RAD_S * dt, QUICK_ANGLE_STEP_RAD)
+    slow, quick = trust.angle_mismatch, trust.quick_angle_mismatch
     return (
-        keep * trust.angle_mismatch[0] + moved_roll - 0.5 * dt * (before[0] + now[0]),
-        keep * trust.angle_mismatch[1] + moved_pitch - 0.5 * dt * (before[1] + now[1]),
+        (keep * slow[0] + roll, keep * slow[1] + pitch),
+        (keep_quick * quick[0] + _bounded(roll, most), keep_quick * quick[1] + _bounded(pitch, most)),
     )
 
 
@@ -162,11 +214,32 @@ def _tilt(attitude: Vector3) -> float:
     return max(abs(attitude[0]), abs(attitude[1]))
 
 
-def _height_mismatch(trust: Trust, event: PositionReceived) -> float:
+def _bounded(value: float, most: float) -> float:
+    return min(max(value, -most), most)
+
+
+def _height_mismatch(trust: Trust, event: PositionReceived) -> tuple[float, float]:
+    """Slow and quick."""
     last = trust.position
     if last is None:
-        return 0.0
+        return 0.0, 0.0
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
-    moved = event.position[2] - last.position[2]
     reckoned = 0.5 * dt * (last.velocity[2] + event.velocity[2])
-    return exp(-dt / HEIGHT_MEMORY_S) * trust.height_mismatch + moved - reckoned
+    off = event.position[2] - last.position[2] - reckoned
+    most = min(QUICK_HEIGHT_RATE_M_S * dt, QUICK_HEIGHT_STEP_M)
+    return (
+        exp(-dt / HEIGHT_MEMORY_S) * trust.height_mismatch + off,
+        exp(-dt / QUICK_HEIGHT_MEMORY_S) * trust.quick_height_mismatch + _bounded(off, most),
+    )
+
+
+def _climb_rate_jump(last: PositionReceived | None, event: PositionReceived) -> str | None:
+    """Name a change of the climb rate that no sound vehicle shows."""
+    if last is None:
+        return None
+    change = abs(event.velocity[2] - last.velocity[2])
+    dt = (event.sample_time_us - last.sample_time_us) * 1e-6
+    possible = CLIMB_RATE_JUMP_M_S + CLIMB_ACCELERATION_M_S2 * min(dt, CLIMB_ACCELERATION_TIME_S)
+    if change <= possible:
+        return None
+    return f"climb rate does not fit: changed by {change:.1f} m/s in {dt:.2f} s, {possible:.1f} possible"

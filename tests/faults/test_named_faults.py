@@ -67,9 +67,10 @@ ENDS = {  # fault, longest time until control is given up [s], reason
     "attitude-jump": (Offset(AT, messages=ATTITUDE, values={"pitch": 0.6}), PERIOD, "attitude jumped"),
     "altitude-jump": (Offset(AT, messages=POSITION, values={"z": -3.0}), PERIOD, "altitude jumped"),
     "body-rate-huge": (Overwrite(AT, messages=ATTITUDE, values={"rollspeed": 1e30}), PERIOD, "body rate"),
-    "body-rate-wrong": (Overwrite(AT, messages=ATTITUDE, values={"rollspeed": 3.0}), 0.5, "do not fit"),
+    "body-rate-wrong": (Overwrite(AT, messages=ATTITUDE, values={"rollspeed": 3.0}), 0.1, "do not fit"),
     "climb-rate-huge": (Overwrite(AT, messages=POSITION, values={"vz": 100.0}), PERIOD, "climb rate"),
-    "climb-rate-wrong": (Offset(AT, messages=POSITION, values={"vz": 6.0}), 1.0, "does not fit"),
+    "climb-rate-wrong": (Offset(AT, messages=POSITION, values={"vz": 6.0}), 0.16, "does not fit"),
+    "climb-rate-wrong-by-less": (Offset(AT, messages=POSITION, values={"vz": 1.6}), 0.6, "does not fit"),
     "flooded-with-samples": (Flood(AT, frames=frames(1, ATTITUDE_OF_OLD)), PERIOD, "standing clock"),
     "tenth-of-rate": (Thin(AT, messages=ATTITUDE + POSITION), 1.0, "Hz; omega_o = 50 needs 20"),
 }
@@ -119,6 +120,36 @@ def test_control_is_kept_and_the_vehicle_stays(fault_flight, name):
     fault, most = KEPT[name]
     flight = fault_flight(down=() if fault is None else (fault,), seconds=AT + 1.8).fly()
     assert_kept(flight, most)
+
+
+@pytest.mark.parametrize("repeats", [0, 3])
+def test_a_climb_rate_that_is_wrong_by_3_m_s_in_most_samples_does_not_move_the_vehicle(
+    settled_flight, repeats
+):
+    """It moved by 2 m. The samples are passed over, and that is said once."""
+    wrong = Overwrite(0.3, 0.6, messages=POSITION, share=0.7, values={"vz": 3.0})
+    flight = settled_flight("ardupilot").fly_on(2.0, (wrong, Duplicate(0.1, 0.6, share=0.7, copies=repeats)))
+    assert flight.released_s is None and flight.violations == []
+    assert flight.texts.count("climb rate jumps: sample passed over") == 1
+    assert max(abs(flight.heights[k] - 5.0) for k in flight.held) < 0.1
+
+
+@pytest.mark.parametrize("error", [1.0, 1.3, 1.6, 2.0, 6.0])
+@pytest.mark.parametrize("share", [0.3, 0.7, 1.0])
+def test_however_wrong_the_climb_rate_is_the_vehicle_stays_within_0_8_m(settled_flight, error, share):
+    wrong = Offset(0.1, messages=POSITION, share=share, values={"vz": error})
+    flight = settled_flight("ardupilot").fly_on(1.5, (wrong,))
+    assert flight.violations == []
+    assert max(abs(flight.heights[k] - 5.0) for k in flight.held) < 0.8
+
+
+@pytest.mark.parametrize("error", [1.5, 2.0, 3.0, 6.0])
+@pytest.mark.parametrize("share", [0.3, 0.7, 1.0])
+def test_however_wrong_a_body_rate_is_the_vehicle_tilts_by_less_than_0_15_rad(settled_flight, error, share):
+    wrong = Offset(0.1, messages=ATTITUDE, share=share, values={"rollspeed": error})
+    flight = settled_flight("px4").fly_on(1.0, (wrong,))
+    assert flight.violations == []
+    assert max(flight.tilts[k] for k in flight.held) < 0.15
 
 
 @pytest.mark.parametrize("name", [*ENDS, *KEPT])

@@ -248,7 +248,9 @@ def test_altitude_out_of_limits_is_a_failsafe(fake):
     settings = fake.settings()
     flight = hovering(fake, limits=replace(settings.limits, altitude_max_m=3.5))
     flight.vehicle.weight = 0.5
-    flight.vehicle.velocity = 3.0
+    for climb_rate in (1.0, 2.0, 3.0):  # as fast as a climb rate is believed
+        flight.vehicle.velocity = climb_rate
+        flight.run(0.01)
     flight.run(2.0)
     assert flight.service.state is State.FAILSAFE
     assert "altitude 3.5 m outside -3.0 .. 3.5" in flight.texts[0]

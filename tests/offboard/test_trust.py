@@ -1,0 +1,164 @@
+"""What a sound estimator shows is believed at any rate of telemetry; what does not fit is noticed in time."""
+
+from math import cos, sin
+
+import numpy as np
+import pytest
+
+from kffa_offboard.offboard import trust
+from kffa_offboard.offboard.events import AttitudeReceived, PositionReceived
+from kffa_offboard.offboard.settings import LimitSettings, TelemetrySettings
+from kffa_offboard.offboard.telemetry import Stream, Telemetry
+from kffa_offboard.offboard.trust import Trust
+
+SETTINGS, LIMITS = TelemetrySettings(), LimitSettings()
+RATES = pytest.mark.parametrize("rate_hz", [10, 25, 50, 100, 250])
+
+
+def times(rate_hz, seconds, seed=0, jitter=0.3):
+    """Sample times [s], rounded to milliseconds as on the wire, uneven by `jitter` of the period."""
+    generator = np.random.default_rng(seed)
+    count = round(seconds * rate_hz)
+    uneven = (np.arange(count) + jitter * generator.uniform(-1.0, 1.0, count)) / rate_hz
+    return [max(round(t, 3), 0.0) for t in uneven.tolist()]
+
+
+def watch_heights(samples):
+    """Of (time [s], height, climb rate): faults with their times, and the times of what was passed over."""
+    known, faults, passed_over = Trust(), [], []
+    for t, height, climb_rate in samples:
+        now = round(t * 1e6)
+        event = PositionReceived(now, (0.0, 0.0, height), (0.0, 0.0, climb_rate))
+        known, fits, fault = trust.watch_position(SETTINGS, LIMITS, known, now, event, False)
+        if fault is not None:
+            faults.append((t, fault))
+        if not fits:
+            passed_over.append(t)
+    return faults, passed_over
+
+
+def watch_angles(samples):
+    """The same of (time [s], roll, pitch, body rates)."""
+    known, faults = Trust(), []
+    for t, roll, pitch, rates in samples:
+        now = round(t * 1e6)
+        event = AttitudeReceived(now, (roll, pitch, 0.3), rates)
+        known, fault = trust.watch_attitude(SETTINGS, LIMITS, known, now, event, False)
+        if fault is not None:
+            faults.append((t, fault))
+    return faults
+
+
+def noisy(samples, height_m=0.01, climb_rate_m_s=0.05, seed=1):
+    generator = np.random.default_rng(seed)
+    for t, height, climb_rate in samples:
+        yield (
+            t,
+            height + height_m * generator.standard_normal(),
+            climb_rate + climb_rate_m_s * generator.standard_normal(),
+        )
+
+
+def swing(t, amplitude_m, omega):
+    return t, 5.0 + amplitude_m * sin(omega * t), amplitude_m * omega * cos(omega * t)
+
+
+def dropped(t):
+    """A load leaves at 1 s: 4.9 m/s^2 upwards, and as much downwards 0.3 s later."""
+    up, down = max(min(t, 1.6) - 1.0, 0.0), max(min(t, 1.6) - 1.3, 0.0)
+    return t, 5.0 + 2.45 * (up**2 - 2.0 * down**2), 4.9 * (up - 2.0 * down)
+
+
+def thrown(t):
+    """1.5 times the weight in thrust for half a second, none for half a second, and weight."""
+    fast, falling, then = min(t, 0.5), min(max(t - 0.5, 0.0), 0.5), max(t - 1.0, 0.0)
+    speed = 4.9 * fast - 9.8 * falling
+    return t, 5.0 + 2.45 * fast**2 + 2.45 * falling - 4.9 * falling**2 - 2.45 * then, speed
+
+
+def touched_down(t):
+    """Sinks with 1 m/s and stands still from 1 s on, from one moment to the next."""
+    return t, max(1.0 - t, 0.0), -1.0 if t < 1.0 else 0.0
+
+
+def height_reset(t):
+    """The estimator sets its height anew, by what is just no impossible jump."""
+    return t, 5.0 if t < 1.0 else 5.45, 0.0
+
+
+def climb_rate_reset(t):
+    """It believed to stand while it climbed with 1 m/s, and sets both anew."""
+    return (t, 5.0, 0.0) if t < 1.0 else (t, 5.3 + (t - 1.0), 1.0)
+
+
+SOUND = {
+    "hover": lambda t: (t, 5.0, 0.0),
+    "height swings": lambda t: swing(t, 0.3, 6.0),
+    "load drops": dropped,
+    "full thrust and none": thrown,
+    "touch-down": touched_down,
+    "height reset": height_reset,
+    "climb rate reset": climb_rate_reset,
+    "drifts apart by 0.5 m/s": lambda t: (t, 5.0 + 0.5 * t, 0.0),
+}
+
+SUDDEN = ("touch-down", "climb rate reset")  # may cost a few samples
+
+
+@RATES
+@pytest.mark.parametrize("name", SOUND)
+def test_what_a_sound_estimator_shows_is_believed(rate_hz, name):
+    for seed in range(5):
+        samples = [SOUND[name](t) for t in times(rate_hz, 3.0, seed)]
+        faults, passed_over = watch_heights(noisy(samples, seed=seed))
+        assert faults == []
+        assert len(passed_over) <= (3 if name in SUDDEN else 0)
+
+
+@RATES
+def test_a_swing_of_20_degrees_at_4_rad_s_fits_its_body_rates(rate_hz):
+    """And so does an attitude that is set anew by 0.15 rad within it."""
+    generator = np.random.default_rng(2)
+    samples = []
+    for t in times(rate_hz, 3.0):
+        roll = 0.35 * sin(4.0 * t) + (0.15 if t > 1.0 else 0.0)
+        rates = (1.4 * cos(4.0 * t), 0.0, 0.0)
+        noise, rate_noise = 0.003 * generator.standard_normal(), 0.1 * generator.standard_normal(3)
+        samples.append((t, roll + noise, 0.0, tuple((np.array(rates) + rate_noise).tolist())))
+    assert watch_angles(samples) == []
+
+
+@RATES
+@pytest.mark.parametrize("error", [-3.0, 1.5, 6.0])
+def test_a_single_wrong_climb_rate_is_no_fault(rate_hz, error):
+    samples = [(t, 5.0, 0.0) for t in times(rate_hz, 2.0)]
+    samples[rate_hz] = (*samples[rate_hz][:2], error)
+    faults, passed_over = watch_heights(noisy(samples))
+    assert faults == []
+    assert len(passed_over) == (abs(error) > 2.6 or (error > 1.4 and rate_hz >= 50))
+
+
+@RATES
+@pytest.mark.parametrize(("error", "within_s"), [(1.5, 0.5), (2.0, 0.35), (3.0, 0.2), (9.0, 0.2)])
+def test_a_climb_rate_that_stays_wrong_is_noticed(rate_hz, error, within_s):
+    """Or one that goes wrong within half a second."""
+    sudden = [(t, 5.0, 0.0 if t < 1.0 else error) for t in times(rate_hz, 3.0)]
+    faults, _ = watch_heights(noisy(sudden))
+    assert faults and faults[0][0] < 1.0 + within_s + 1.5 / rate_hz
+    growing = [(t, 5.0, min(max(2.0 * (t - 1.0), 0.0), 1.0) * error) for t in times(rate_hz, 3.0)]
+    faults, _ = watch_heights(noisy(growing))
+    assert faults and faults[0][0] < 1.5 + within_s + 1.5 / rate_hz
+
+
+@RATES
+@pytest.mark.parametrize(("error", "within_s"), [(1.5, 0.25), (2.0, 0.2), (3.0, 0.1), (9.0, 0.05)])
+def test_a_body_rate_that_stays_wrong_is_noticed(rate_hz, error, within_s):
+    samples = [(t, 0.0, 0.0, (0.0, 0.0 if t < 1.0 else error, 0.0)) for t in times(rate_hz, 2.0)]
+    faults = watch_angles(samples)
+    assert faults and faults[0] == (faults[0][0], "body rates do not fit the attitude")
+    assert faults[0][0] < 1.0 + within_s + 2.5 / rate_hz
+
+
+def test_what_was_passed_over_counts_as_dropped_and_does_not_arrive():
+    known = Telemetry(position_stream=Stream(1_000, 2_000, (2_000,), 0, 4))
+    assert trust.pass_over(known) == Telemetry(position_stream=Stream(1_000, 2_000, (2_000,), 0, 5))
