@@ -182,8 +182,8 @@ def run_real_time(
 ) -> RunResult:
     """Drive the service until it has finished, or has let go after `stop` was set (3 s at most).
 
-    `clock` must be the link's. Raises UserError if no vehicle answers within `connect_timeout_s`, if
-    it is not supported, or if the link is lost.
+    `clock` must be the link's. Raises UserError if no vehicle answers within `connect_timeout_s`, or if
+    it is not supported.
     """
     loop = RealTimeLoop(session, clock, stop, connect_timeout_s, watch or Unwatched())
     while loop.goes_on():

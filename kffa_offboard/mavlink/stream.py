@@ -48,7 +48,7 @@ class StreamLink(ABC):
 
     @abstractmethod
     def _lost(self, reason: str) -> None:
-        """The other side is gone: raise LinkLost, or get ready for the next one."""
+        """The other side is gone: say so, and get ready for its return."""
 
     @abstractmethod
     def close(self) -> None:
@@ -63,9 +63,9 @@ class StreamLink(ABC):
         """See `transport.Link`."""
         return self._file_descriptor() if self._is_open() else None
 
+    @abstractmethod
     def take_news(self) -> str | None:
-        """See `transport.Link`; TCP says it by `trouble`."""
-        return None
+        """See `transport.Link`."""
 
     def receive(self, timeout_s: float) -> list[Datagram]:
         """See `transport.Link`."""

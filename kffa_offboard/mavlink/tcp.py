@@ -1,4 +1,7 @@
-"""TCP links: `tcp` connects to the vehicle (and keeps trying), `tcpin` waits for it to connect."""
+"""TCP links: `tcp` connects to the vehicle (and keeps trying), `tcpin` waits for it to connect.
+
+A connection that is lost is made again: the telemetry timeouts decide what that means for a flight.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,17 @@ import socket
 
 from kffa_offboard.mavlink.address import NetworkAddress, resolve
 from kffa_offboard.mavlink.stream import READ_SIZE, StreamLink
-from kffa_offboard.mavlink.transport import Clock, LinkLost
+from kffa_offboard.mavlink.transport import Clock
 from kffa_offboard.mavlink.udp import explain
 
 SEND_BUFFER = 16384
 """Bytes that the kernel may hold back; the default keeps minutes of setpoints for a stalled vehicle."""
+
+UNANSWERED_MS = 5000
+"""A connection that acknowledges nothing for that long is lost, although nobody closed it."""
+
+FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 2.0
+"""Between attempts to connect again: the first, twice as long each time, and no longer than that."""
 
 
 class _TcpLink(StreamLink):
@@ -21,18 +30,27 @@ class _TcpLink(StreamLink):
         super().__init__(address.url, clock)
         self._family, self._place = resolve(address)
         self._socket: socket.socket | None = None
+        self._news: str | None = None
+        self._was_lost = False
+
+    def take_news(self) -> str | None:
+        """See `transport.Link`."""
+        news, self._news = self._news, None
+        return news
 
     def _adopt(self, connected: socket.socket) -> None:
         connected.setblocking(False)
         # Setpoints are small and each of them matters now: never wait to fill a segment.
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNANSWERED_MS)
         self._socket = connected
         self._start_connection()
+        if self._was_lost:
+            self._was_lost, self._news, self.trouble = False, "link is back", ""
 
     def _opened(self) -> socket.socket:
-        if self._socket is None:
-            raise LinkLost(f"link {self.name!r}: not connected")
+        assert self._socket is not None, "only asked while it is open"
         return self._socket
 
     def _is_open(self) -> bool:
@@ -47,20 +65,37 @@ class _TcpLink(StreamLink):
     def _write(self, data: bytes) -> int:
         return self._opened().send(data)
 
-    def close(self) -> None:
-        """See `transport.Link`."""
+    def _lost(self, reason: str) -> None:
+        self._hang_up()
+        self.trouble = f"connection lost ({reason}); is the vehicle still running?"
+        self._news, self._was_lost = f"link lost: {reason}", True
+
+    def _hang_up(self) -> None:
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
+    def close(self) -> None:
+        """See `transport.Link`."""
+        self._hang_up()
+
 
 class TcpClientLink(_TcpLink):
-    """Connects to a vehicle that listens; until it does, tries again during each wait."""
+    """Connects to a vehicle that listens; until it does, tries again during each wait, later in pauses."""
+
+    def __init__(self, address: NetworkAddress, clock: Clock) -> None:
+        super().__init__(address, clock)
+        self._pause_s = 0.0
+        self._next_us: int | None = None
 
     def _connect(self, timeout_s: float) -> None:
         if timeout_s <= 0.0:
             return
-        deadline = self._clock() + int(timeout_s * 1e6)
+        now_us = self._clock()
+        if self._next_us is not None and now_us < self._next_us:
+            select.select([], [], [], min(timeout_s, (self._next_us - now_us) * 1e-6))
+            return
+        deadline = now_us + int(timeout_s * 1e6)
         attempt = socket.socket(self._family, socket.SOCK_STREAM)
         attempt.settimeout(timeout_s)
         try:
@@ -68,18 +103,26 @@ class TcpClientLink(_TcpLink):
         except OSError as error:
             attempt.close()
             self.trouble = (error.strerror or "connecting timed out").lower()
+            self._pause()
             # A refusal comes at once: wait the rest of the time, or we would try as fast as we can.
             select.select([], [], [], max(0.0, (deadline - self._clock()) / 1e6))
         else:
             self._adopt(attempt)
 
     def _lost(self, reason: str) -> None:
-        self.close()
-        raise LinkLost(f"link {self.name!r}: connection lost ({reason}); is the vehicle still running?")
+        super()._lost(reason)
+        self._pause_s = FIRST_PAUSE_S
+        self._pause()
+
+    def _pause(self) -> None:
+        """Put the next attempt off; nothing is put off before the first connection."""
+        if self._was_lost:
+            self._next_us = self._clock() + round(self._pause_s * 1e6)
+            self._pause_s = min(2.0 * self._pause_s, LONGEST_PAUSE_S)
 
 
 class TcpServerLink(_TcpLink):
-    """Listens for the vehicle to connect; one connection at a time."""
+    """Listens for the vehicle to connect, and to connect again; one connection at a time."""
 
     def __init__(self, address: NetworkAddress, clock: Clock) -> None:
         super().__init__(address, clock)
@@ -106,10 +149,11 @@ class TcpServerLink(_TcpLink):
             self._adopt(connected)
 
     def _lost(self, reason: str) -> None:
-        super().close()
         if self._locked:
-            raise LinkLost(f"link {self.name!r}: connection lost ({reason}); is the vehicle still running?")
-        self.trouble = reason
+            super()._lost(reason)
+        else:  # it was not the vehicle
+            self._hang_up()
+            self.trouble = reason
 
     def close(self) -> None:
         """See `transport.Link`."""

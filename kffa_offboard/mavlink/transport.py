@@ -6,14 +6,8 @@ from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
-from kffa_offboard.errors import UserError
-
 Clock: TypeAlias = Callable[[], int]
 """Tells the time in integer microseconds and never goes back."""
-
-
-class LinkLost(UserError):
-    """The other side is gone for good: serial adapter unplugged, TCP connection closed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,19 +48,13 @@ class Link(Protocol):
         """What to wait for in select until there is something to receive; None while there is nothing."""
 
     def take_news(self) -> str | None:
-        """That the device is gone, or back, once; else None."""
+        """That the device or connection is gone, or back, once; else None."""
 
     def receive(self, timeout_s: float) -> list[Datagram]:
-        """Wait at most `timeout_s` for data, then return what is there, in order of arrival.
-
-        Raises LinkLost if nothing can ever arrive again.
-        """
+        """Wait at most `timeout_s` for data, then return what is there, in order of arrival."""
 
     def send(self, data: bytes) -> bool:
-        """Send whole frames without waiting. False if they were dropped (nobody there yet, buffers full).
-
-        Raises LinkLost if nothing can ever be sent again.
-        """
+        """Send whole frames without waiting. False if they were dropped (nobody there, buffers full)."""
 
     def lock(self, source: Hashable) -> None:
         """From now on listen to `source` alone and answer it alone; a few datagrams of others are marked."""

@@ -11,10 +11,9 @@ import pytest
 import serial
 
 from kffa_offboard.errors import UserError
-from kffa_offboard.mavlink import serial_port
+from kffa_offboard.mavlink import serial_port, tcp
 from kffa_offboard.mavlink.component import FrameParser
 from kffa_offboard.mavlink.link import open_link
-from kffa_offboard.mavlink.transport import LinkLost
 
 
 @pytest.fixture
@@ -83,11 +82,56 @@ def test_a_vehicle_that_is_not_up_yet_is_tried_again(clock):
                 assert [datagram.data for datagram in link.receive(5.0)] == [b"up"]
 
 
-def test_a_closed_connection_is_a_clear_error(connected):
+def test_a_closed_connection_is_said_and_made_again(connected, listener):
     link, vehicle = connected
+    vehicle.sendall(b"before")
+    (before,) = link.receive(5.0)
     vehicle.close()
-    with pytest.raises(LinkLost, match=r"connection lost .closed by the other side.; is the vehicle still"):
+    assert link.receive(5.0) == []
+    assert link.take_news() == "link lost: closed by the other side"
+    assert link.take_news() is None
+    assert "is the vehicle still running?" in link.trouble
+    assert link.descriptor is None
+    assert not link.send(b"nobody hears this")
+    while link.take_news() != "link is back":
+        assert link.receive(0.001) == []
+    again, _ = listener.accept()
+    with again:
+        again.sendall(b"after")
+        (after,) = link.receive(5.0)
+        assert (before.data, after.data) == (b"before", b"after")
+        assert before.source != after.source, "half a frame from before is not continued"
+        assert link.send(b"command") and again.recv(100) == b"command"
+        assert link.trouble == ""
+
+
+def test_a_vehicle_that_is_gone_is_called_again_in_growing_pauses(listener, monkeypatch):
+    now_us, called = [0], []
+    with contextlib.closing(
+        open_link(f"tcp:127.0.0.1:{listener.getsockname()[1]}", lambda: now_us[0])
+    ) as link:
         link.receive(5.0)
+        vehicle, _ = listener.accept()
+        vehicle.close()
+        listener.close()
+        link.receive(5.0)
+        monkeypatch.setattr(tcp.select, "select", lambda *_: ([], [], []))
+        connect = socket.socket.connect
+        monkeypatch.setattr(
+            socket.socket, "connect", lambda *place: called.append(now_us[0] * 1e-6) or connect(*place)
+        )
+        for now_us[0] in range(0, 9_000_000, 10_000):
+            assert link.receive(0.001) == []
+    pauses = [later - earlier for earlier, later in itertools.pairwise([0.0, *called])]
+    assert pauses == pytest.approx([0.2, 0.4, 0.8, 1.6, 2.0, 2.0])
+    assert link.trouble == "connection refused"
+
+
+def test_a_connection_on_which_nobody_answers_any_more_is_lost(connected):
+    """No cable, no power: nobody closes it. The kernel gives it up after 5 s of silence."""
+    link, _ = connected
+    ours = link._socket
+    assert ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 5000
 
 
 def test_a_vehicle_that_does_not_read_costs_frames_and_never_time(connected, autopilot):
@@ -148,14 +192,20 @@ def test_a_caller_that_was_not_the_vehicle_may_leave_and_the_next_one_starts_afr
     assert first.source != second.source
 
 
-def test_losing_the_vehicle_on_a_listening_link_is_a_clear_error(server_link):
+def test_a_vehicle_that_is_lost_on_a_listening_link_may_call_again(server_link):
     with call(server_link) as vehicle:
         vehicle.sendall(b"x")
         assert server_link.receive(5.0) == []  # connects
-        (datagram,) = server_link.receive(5.0)
-        server_link.lock(datagram.source)
-    with pytest.raises(LinkLost, match="connection lost"):
-        server_link.receive(5.0)
+        (before,) = server_link.receive(5.0)
+        server_link.lock(before.source)
+    assert server_link.receive(5.0) == []
+    assert server_link.take_news() == "link lost: closed by the other side"
+    with call(server_link) as vehicle:
+        vehicle.sendall(b"y")
+        assert server_link.receive(5.0) == []
+        assert server_link.take_news() == "link is back"
+        (after,) = server_link.receive(5.0)
+        assert after.data == b"y" and before.source != after.source
 
 
 def test_a_busy_tcp_port_is_explained(listener, clock):
