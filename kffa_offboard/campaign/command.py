@@ -24,6 +24,7 @@ from kffa_offboard.campaign.task import Table, Task, tasks
 from kffa_offboard.config import bundled
 from kffa_offboard.control.controllers import NAMES, ControllerName
 from kffa_offboard.errors import UserError
+from kffa_offboard.trials.processes import terminate_as_interrupt
 
 INTERRUPTED = 130
 
@@ -51,7 +52,8 @@ def run_campaign(plan: CampaignPlan) -> int:
         raise UserError("--engine dask and --scheduler ADDRESS go together; give both or neither")
     campaign = _campaign(plan)
     try:
-        return _alone(plan, campaign) if plan.flight is not None else _all(plan, campaign)
+        with terminate_as_interrupt():
+            return _alone(plan, campaign) if plan.flight is not None else _all(plan, campaign)
     except OSError as error:
         raise UserError(f"--out {plan.directory}: {error.strerror}; choose another directory") from error
 

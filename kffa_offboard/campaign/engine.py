@@ -24,7 +24,13 @@ def run_local(campaign: Campaign, work: Sequence[Task], jobs: int) -> Iterator[t
         return
     joblib = need("joblib", "a campaign on several cores")
     parallel = joblib.Parallel(n_jobs=min(jobs, len(work)), batch_size=1, return_as="generator_unordered")
-    yield from parallel(joblib.delayed(run)(campaign, task) for task in work)
+    try:
+        yield from parallel(joblib.delayed(run)(campaign, task) for task in work)
+    except BaseException:  # stopped: the processes would go on, and then wait for more work
+        need("joblib.externals.loky", "a campaign on several cores").get_reusable_executor().shutdown(
+            kill_workers=True
+        )
+        raise
 
 
 def run_dask(campaign: Campaign, work: Sequence[Task], scheduler: str) -> Iterator[tuple[Task, Table]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import subprocess
@@ -96,6 +97,28 @@ def test_a_stopped_campaign_goes_on_and_ends_the_same(
     whole = replace(plan, directory=plan.directory.with_name("whole"))
     assert command.run_campaign(whole) == 0
     assert summary_of(capsys) == ours
+
+
+def test_sigterm_ends_a_campaign_with_all_its_processes(plan: command.CampaignPlan) -> None:
+    """The pipe is at its end only when no process holds it any more."""
+    arguments = [sys.executable, "-m", "kffa_offboard", "campaign", str(plan.file)]
+    options = ["--out", str(plan.directory), "--flights", "100000", "--jobs", "2"]
+    with subprocess.Popen(
+        [*arguments, *options], stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    ) as process:
+        while len(_children(process.pid)) < 2 and process.poll() is None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                process.wait(0.05)
+        process.terminate()
+        said, _ = process.communicate(timeout=90)
+    assert process.returncode == 130, said
+    assert b" of 100,000 flights are kept" in said
+
+
+def _children(number: int) -> list[str]:
+    """Process numbers of the children whose work has begun: those that have imported numpy."""
+    listed = Path(f"/proc/{number}/task/{number}/children").read_text(encoding="ascii").split()
+    return [child for child in listed if "numpy" in Path(f"/proc/{child}/maps").read_text(encoding="utf-8")]
 
 
 def test_a_longer_campaign_keeps_its_flights_and_counts_none_twice(
