@@ -42,6 +42,26 @@ def test_a_daemon_killed_in_hover_leaves_a_level_vehicle_to_the_autopilot(
 
 
 @pytest.mark.parametrize(
+    ("personality", "at_s", "rise"),
+    [
+        ("px4", 4.13, 1.1),
+        ("px4", 4.31, 0.1),
+        ("px4", 4.5, 1.1),
+        ("px4", 4.77, 0.7),
+        ("ardupilot", 4.13, 0.35),
+    ],
+)
+def test_how_far_a_killed_daemon_lets_the_vehicle_rise_is_the_noise_of_its_last_thrust(
+    fault_flight, personality, at_s, rise
+):
+    """It runs on for 1 s with PX4, for 0.5 s with ArduCopter."""
+    _, height, climb, tilt = killed(fault_flight, personality, HOVER, at_s)
+    assert height.max() < rise
+    assert climb.min() > -1.7
+    assert tilt.max() < 0.025
+
+
+@pytest.mark.parametrize(
     ("personality", "at_s", "tilt_max", "rise"),
     [("px4", 4.25, 0.85, 0.1), ("px4", 4.5, 0.7, 1.5), ("ardupilot", 4.75, 0.45, 0.6)],
 )

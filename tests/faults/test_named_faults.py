@@ -79,7 +79,7 @@ KEPT = {  # fault, and how far from its height the vehicle may move [m]
     "a-third-lost": (Lose(AT, messages=ATTITUDE + POSITION, share=0.3), 0.1),
     "a-short-burst": (Lose(AT, 0.2), 0.1),
     "duplicated": (Duplicate(AT, copies=2), 0.05),
-    "reordered": (Delay(AT, delay_s=0.0, jitter_s=0.05), 0.3),
+    "reordered": (Delay(AT, delay_s=0.0, jitter_s=0.05), 0.05),
     "corrupted": (Corrupt(AT, messages=ATTITUDE + POSITION, share=0.3), 0.1),
     "third-of-rate": (Thin(AT, messages=ATTITUDE + POSITION, keep_every=3), 0.1),
     "flooded-by-another-system": (Flood(AT, 0.5, frames=frames(77, ATTITUDE_OF_OLD)), 0.05),
