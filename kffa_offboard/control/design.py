@@ -16,6 +16,11 @@ from kffa_offboard.control.controllers import (
     Limits,
 )
 
+PERIOD_TOLERANCE = 0.3
+"""Of the Kalman filter (`kalman.KalmanParameters`). Telemetry has its times in whole milliseconds, so that
+each step of a steady rate is a little another one; gains of their own would move estimates by a fiftieth of
+their noise."""
+
 
 @dataclass(frozen=True)
 class DesignSettings:
@@ -159,6 +164,7 @@ def _kalman(settings: DesignSettings) -> kalman.KalmanParameters:
         settings.disturbance_intensity,
         settings.rate_variance,
         "literal" if settings.literal_filter else "extended",
+        period_tolerance=PERIOD_TOLERANCE,
     )
 
 

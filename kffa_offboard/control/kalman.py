@@ -46,6 +46,8 @@ class KalmanParameters:
     model : "extended" or "literal"
     process_variance : (4,), output units squared
         Q of the literal filter, added to both states at every step.
+    period_tolerance : share of the period
+        Steps that differ from the last period by no more than this have its gain; 0 gives each step its own.
     """
 
     measurement_variance: Array
@@ -53,6 +55,7 @@ class KalmanParameters:
     rate_variance: Array | None = None
     model: Literal["extended", "literal"] = "extended"
     process_variance: Array | None = None
+    period_tolerance: float = 0.0
 
     @property
     def states(self) -> int:
@@ -61,10 +64,17 @@ class KalmanParameters:
 
 
 class KalmanState(NamedTuple):
-    """Mean ``(4 * states, N)`` (channel by channel; N = 1 for one vehicle) and covariance of the filter."""
+    """Mean ``(4 * states, N)`` (channel by channel; N = 1 for one vehicle) and covariance of the filter.
+
+    Attributes
+    ----------
+    period : s
+        Step that covariance and gain are worked out for; 0 before the first one.
+    """
 
     mean: Array
     covariance: Array
+    period: float = 0.0
 
 
 @cache
@@ -176,7 +186,7 @@ def _gain(
 ) -> tuple[Array, Array, NDArray[np.intp], Array]:
     """Covariance after prediction and correction (eq 45, 46, 48), the gain, channels and H of `_selection`.
 
-    Measurements do not enter: with a steady telemetry all of it soon repeats itself.
+    Measurements do not enter: with a steady telemetry all of it soon repeats itself, to the last bit.
     """
     f, _, q, _, _ = _model_matrices(parameters, model, dt)
     index, h, r = _selection(parameters, fresh, with_rate)
@@ -198,9 +208,13 @@ def prepare(
 ) -> None:
     """Work out the gain of a `step` from `state` over `dt` with such measurements, before they come."""
     pattern = fresh.reshape(len(fresh), -1)[:, 0]
-    _gain(
-        parameters, model, state.covariance, pattern, with_rate and parameters.rate_variance is not None, dt
-    )
+    fused = with_rate and parameters.rate_variance is not None
+    _gain(parameters, model, state.covariance, pattern, fused, _period(parameters, state, dt))
+
+
+def _period(parameters: KalmanParameters, state: KalmanState, dt: float) -> float:
+    """The period still, if `dt` is near it; else `dt` is the new one."""
+    return state.period if abs(dt - state.period) <= parameters.period_tolerance * state.period else dt
 
 
 def step(
@@ -235,7 +249,10 @@ def step(
     channels, n = len(measurement), parameters.states
     rates = None if parameters.rate_variance is None else measured_rate
     pattern = fresh.reshape(channels, -1)[:, 0]
-    covariance, gain, index, h = _gain(parameters, model, state.covariance, pattern, rates is not None, dt)
+    period = _period(parameters, state, dt)
+    covariance, gain, index, h = _gain(
+        parameters, model, state.covariance, pattern, rates is not None, period
+    )
     f, b, _, b0, stiffness = _model_matrices(parameters, model, dt)
     acceleration = b0 * command.reshape(channels, -1) - stiffness * state.mean[::n]
     mean = np.dot(f, state.mean) + np.dot(b, acceleration)
@@ -244,4 +261,4 @@ def step(
         if rates is not None:
             values = np.concatenate([values, rates.reshape(channels, -1)[index]])
         mean = mean + np.dot(gain, values - np.dot(h, mean))
-    return KalmanState(mean, covariance), mean[::n].reshape(measurement.shape)
+    return KalmanState(mean, covariance, period), mean[::n].reshape(measurement.shape)

@@ -1,5 +1,7 @@
 """The filterpy filter is the textbook filter, tracks a load step, and copes with gaps and jitter."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -123,3 +125,17 @@ def test_the_climb_rate_makes_the_height_quieter() -> None:
             heights.append(filtered[1])
         spread.append(np.std(heights[100:]))
     assert spread[1] < 0.7 * spread[0]
+
+
+@pytest.mark.parametrize("tolerance, asked", [(0.0, 3), (0.3, 1)])
+def test_steps_near_the_period_share_its_gain_and_others_make_a_new_one(monkeypatch, tolerance, asked):
+    periods = []
+    gain = kalman._gain
+    monkeypatch.setattr(kalman, "_gain", lambda *arguments: periods.append(arguments[-1]) or gain(*arguments))
+    parameters = dataclasses.replace(EXTENDED, period_tolerance=tolerance)
+    state = kalman.initial_state(parameters, np.zeros(2), np.zeros(2))
+    for dt in (0.010, 0.011, 0.009, 0.010):
+        state, _ = kalman.step(parameters, MODEL, state, np.zeros(2), np.zeros(2), np.ones(2, dtype=bool), dt)
+    assert len(set(periods)) == asked
+    state, _ = kalman.step(parameters, MODEL, state, np.zeros(2), np.zeros(2), np.ones(2, dtype=bool), 0.02)
+    assert state.period == 0.02
