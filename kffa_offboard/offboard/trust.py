@@ -108,8 +108,17 @@ def watch_attitude(
     delay, fault = _follow_delay(settings, trust.delay, time_us, event.sample_time_us)
     still = _stand_still(trust.still_attitude, (*event.attitude, *event.body_rates), time_us)
     slow, quick = _angle_mismatch(trust, event)
-    trust = trust._replace(
-        attitude=event, delay=delay, still_attitude=still, angle_mismatch=slow, quick_angle_mismatch=quick
+    trust = Trust(  # quicker than _replace
+        attitude=event,
+        position=trust.position,
+        still_attitude=still,
+        still_position=trust.still_position,
+        delay=delay,
+        angle_mismatch=slow,
+        quick_angle_mismatch=quick,
+        height_mismatch=trust.height_mismatch,
+        quick_height_mismatch=trust.quick_height_mismatch,
+        odd_since_us=trust.odd_since_us,
     )
     if fault is not None:
         return trust, fault
@@ -142,12 +151,16 @@ def watch_position(
         return trust._replace(odd_since_us=since_us), False, odd if lasts else None
     still = _stand_still(trust.still_position, (*event.position, *event.velocity), time_us)
     slow, quick = _height_mismatch(trust, event)
-    trust = trust._replace(
+    trust = Trust(
+        attitude=trust.attitude,
         position=event,
+        still_attitude=trust.still_attitude,
         still_position=still,
+        delay=trust.delay,
+        angle_mismatch=trust.angle_mismatch,
+        quick_angle_mismatch=trust.quick_angle_mismatch,
         height_mismatch=slow,
         quick_height_mismatch=quick,
-        odd_since_us=None,
     )
     if flying and time_us - still.since_us > round(settings.frozen_time_s * 1e6):
         return trust, True, f"position stands still for {settings.frozen_time_s:g} s"
