@@ -64,6 +64,7 @@ def _common(
         "    kffa-offboard run --config px4-udp.toml --engage    (a person arms)\n\n"
         "    kffa-offboard run --config serial.toml --link serial:/dev/ttyS0:921600\n\n"
         "    kffa-offboard run --config north.toml --config south.toml    (two vehicles)\n\n"
+        "    kffa-offboard run --config px4-udp.toml --plot udpout:127.0.0.1:9870    (PlotJuggler)\n\n"
         "Exit status: 0 scenario done or released, 1 failsafe or failure, 2 wrong usage or no vehicle, "
         "130 stopped by Ctrl-C, SIGTERM or SIGHUP."
     )
@@ -131,6 +132,14 @@ def run(
         bool,
         typer.Option("--reengage", help="With --engage: also after a restart in flight, by whatever cause."),
     ] = False,
+    plot: Annotated[
+        str | None,
+        typer.Option(
+            metavar="URL",
+            help="Send the inner signals of every control step there as JSON, for PlotJuggler's UDP server: "
+            "udpout:127.0.0.1:9870.",
+        ),
+    ] = None,
     json: Annotated[
         bool, typer.Option("--json", help="Print a summary as one JSON object at the end.")
     ] = False,
@@ -168,7 +177,7 @@ def run(
     )
     if realtime and lockstep:
         raise UserError("--realtime is for flying by the clock, --lockstep is not; leave out one of them")
-    options = RunOptions(lockstep=lockstep, log=log, json=json, realtime=realtime, reengage=reengage)
+    options = RunOptions(lockstep, log, json, realtime, reengage, plot)
     if len(config) > 1 and (lockstep or log is not None or link is not None):
         raise UserError("--lockstep, --log and --link are for one vehicle; put them into the configurations")
     status = fly(load_fleet(config, overrides), options)

@@ -1,4 +1,4 @@
-"""Commands that read flight logs: replay, shadow, identify, tune, report."""
+"""Commands that read flight logs: replay, shadow, identify, tune, report, export."""
 
 from __future__ import annotations
 
@@ -178,3 +178,25 @@ def report(
     from kffa_offboard.report.command import ReportPlan, run_report
 
     raise typer.Exit(run_report(ReportPlan(tuple(logs), out, png, align)))
+
+
+@app.command(
+    epilog=(
+        "Examples:\n\n"
+        "    kffa-offboard export logs/2026-05-01_14-02-11.tlog    (writes it beside the log)\n\n"
+        "    kffa-offboard export flight.tlog --out flight.csv\n\n"
+        "Exit status: 0 written, 2 wrong usage, or a log without inner signals."
+    )
+)
+def export(
+    log: Annotated[Path, typer.Argument(metavar="FLIGHT.tlog", help="A log of `kffa-offboard run`.")],
+    out: Annotated[Path | None, typer.Option(help="The table; FLIGHT.csv if left out.")] = None,
+) -> None:
+    """Write the inner signals of a flight as CSV, for PlotJuggler, pandas or a spreadsheet.
+
+    One line for each control step; the names are those of `run --plot`, so that one PlotJuggler layout
+    serves both.
+    """
+    from kffa_offboard.loganalysis.export_command import run_export
+
+    raise typer.Exit(run_export(log, out))

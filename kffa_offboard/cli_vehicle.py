@@ -11,12 +11,16 @@ from pathlib import Path
 from kffa_offboard.cli_status import StatusBoard, StatusConsole, complain
 from kffa_offboard.config import DaemonConfig
 from kffa_offboard.config_log import flight_header, make_companion, parameter_keeper
+from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.plot import PlotStream
 from kffa_offboard.flightlog.writer import TlogWriter
+from kffa_offboard.mavlink.address import NetworkAddress, parse_url
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.link import open_link
 from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.mavlink.session import Observer, Session
 from kffa_offboard.mavlink.transport import Clock, Link
+from kffa_offboard.mavlink.udp import UdpLink
 from kffa_offboard.offboard.events import Event, Output, ProcessReport
 from kffa_offboard.offboard.service import Service
 from kffa_offboard.process.flight_mark import FlightMark
@@ -35,6 +39,7 @@ class RunOptions:
     json: bool = False
     realtime: bool = False
     reengage: bool = False
+    plot: str | None = None
 
 
 @dataclass(frozen=True)
@@ -86,6 +91,8 @@ def open_vehicle(
         parameters = parameter_keeper(config, route, changed) if config.autopilot.check_parameters else None
         observers: list[Observer] = [shared.board.vehicle(name)]
         sources: list[TroubleSource] = [link.take_news]
+        if options.plot is not None:
+            observers.append(stack.enter_context(_plot_stream(options.plot, shared.clock, name)))
         if not options.lockstep:
             path = directory / f"in-flight-{config.link.target_system}.json"
             mark = stack.enter_context(closing(FlightMark(path)))
@@ -165,6 +172,16 @@ def _log_writer(
         component_id=route.own_component,
         part_size=config.log.part_size,
     )
+
+
+@contextmanager
+def _plot_stream(url: str, clock: Clock, name: str) -> Iterator[PlotStream]:
+    """Signals for a plotting program. Nobody need listen there. Raises UserError for a wrong `url`."""
+    address = parse_url(url)
+    if not isinstance(address, NetworkAddress) or address.kind != "udpout":
+        raise UserError(f"--plot {url!r}: signals go out over UDP only; write udpout:HOST:PORT")
+    with closing(UdpLink(address, clock)) as link:
+        yield PlotStream(link.send, name)
 
 
 def _say_begin(console: StatusConsole, config: DaemonConfig, link: Link, name: str) -> None:

@@ -108,6 +108,7 @@ class DaemonConfig:
     autopilot : checking of its parameters
     tuning : what may be changed in flight; its settings are `service`
     signals_hz : rate of the inner signals on the wire; 0 for none
+    signals_vector : channel whose reference, estimate and disturbance go out as DEBUG_VECT; None for none
     allowed : who may command the daemon; None for everybody
     process, realtime : what the daemon does as a process
     """
@@ -121,6 +122,7 @@ class DaemonConfig:
     autopilot: AutopilotSettings
     tuning: ConfigTuning
     signals_hz: float
+    signals_vector: str | None
     allowed: tuple[Sender, ...] | None
     process: ProcessSettings
     realtime: RealtimeSettings
@@ -196,6 +198,7 @@ def build(
         autopilot=_autopilot(tables, overrides),
         tuning=tuning,
         signals_hz=tables.signals.rate_hz,
+        signals_vector=tables.signals.vector,
         allowed=_allowed(tables),
         process=tables.process.settings(),
         realtime=tables.realtime.settings(),

@@ -8,6 +8,7 @@ from pathlib import Path
 from kffa_offboard import __version__
 from kffa_offboard.config import DaemonConfig, Overrides, build
 from kffa_offboard.config_tuning_file import RememberedTuning
+from kffa_offboard.control.controllers import CHANNELS
 from kffa_offboard.flightlog.notes import Header
 from kffa_offboard.flightlog.signals import LIVE_ARRAY_ID, to_message
 from kffa_offboard.mavlink.companion import Companion
@@ -79,4 +80,5 @@ def make_companion(config: DaemonConfig, route: Route) -> Companion:
         allowed=config.allowed,
         signals_hz=config.signals_hz,
         to_array=lambda signals: to_message(signals, LIVE_ARRAY_ID),
+        vector=None if config.signals_vector is None else CHANNELS.index(config.signals_vector),
     )

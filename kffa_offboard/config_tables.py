@@ -189,9 +189,13 @@ class ParametersTable(Table):
 
 
 class SignalsTable(Table):
-    """`[signals]`: how often the inner signals go out for ground stations; 0 for never."""
+    """`[signals]`: how often the inner signals go out for ground stations; 0 for never.
+
+    `vector` is the channel that DEBUG_VECT has, left out for none.
+    """
 
     rate_hz: Annotated[float, number("Hz", at_least=0.0, at_most=500.0)] = 10.0
+    vector: Literal["roll", "pitch", "yaw", "altitude"] | None = None
 
 
 # ----------------------------------------------------------------------------- scenario

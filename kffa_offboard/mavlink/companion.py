@@ -36,7 +36,7 @@ class Companion:
         The parameters; None for none.
     allowed
         Who may command, set parameters and send setpoints; None for everybody. Reading is free.
-    signals_hz, to_array
+    signals_hz, to_array, vector
         See `SignalStreams`.
 
     """
@@ -49,11 +49,12 @@ class Companion:
         allowed: tuple[Sender, ...] | None = None,
         signals_hz: float = 0.0,
         to_array: ToArray | None = None,
+        vector: int | None = None,
     ) -> None:
         self._route = route
         self._allowed = allowed
         self._parameters = ParameterServer(tuning)
-        self._streams = SignalStreams(signals_hz, to_array)
+        self._streams = SignalStreams(signals_hz, to_array, vector)
         self._commands = CommandServer(route, self._parameters, self._streams)
         self._clock = ClockEstimate()
         self._timing = TimingReports()

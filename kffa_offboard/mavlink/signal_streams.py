@@ -1,8 +1,9 @@
 """The controller's inner signals on the wire, thinned to a set rate, for ground stations to graph.
 
 DEBUG_FLOAT_ARRAY has everything, in the layout of `flightlog/signals.py` (array_id 1 tells it from the log's
-own, which has every step); NAMED_VALUE_FLOAT has the most wanted values one by one. Values are in the
-controller's axes and units.
+own, which has every step); NAMED_VALUE_FLOAT has the most wanted values one by one. DEBUG_VECT has three
+values of one channel, for ground stations that plot only numbers with a field of their own. Values are in
+the controller's axes and units.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from kffa_offboard.offboard.events import Signals
 
 DEBUG_FLOAT_ARRAY = mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY
 NAMED_VALUE_FLOAT = mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT
+DEBUG_VECT = mavlink.MAVLINK_MSG_ID_DEBUG_VECT
 
 CHANNEL_NAMES = ("ROLL", "PITCH", "YAW", "ALT")
 SIGNAL_NAMES = {
@@ -50,23 +52,33 @@ def named_messages(signals: Signals) -> list[Message]:
     ]
 
 
+def vector_message(signals: Signals, channel: int) -> Message:
+    """DEBUG_VECT named as the channel: x reference, y estimate, z disturbance."""
+    values = signals.reference[channel], signals.estimate[channel], signals.disturbance[channel]
+    return mavlink.MAVLink_debug_vect_message(CHANNEL_NAMES[channel].encode(), signals.time_us, *values)
+
+
 class SignalStreams:
     """Which signals go out, and when.
 
     Parameters
     ----------
     rate_hz
-        Rate of both streams until somebody asks for another; 0 for none.
+        Rate of each stream until somebody asks for another; 0 for none.
     to_array
         See `ToArray`; None for no DEBUG_FLOAT_ARRAY.
+    vector
+        Channel of DEBUG_VECT; None for no DEBUG_VECT.
 
     """
 
-    def __init__(self, rate_hz: float, to_array: ToArray | None) -> None:
+    def __init__(self, rate_hz: float, to_array: ToArray | None, vector: int | None = None) -> None:
         self._default_us = round(1e6 / rate_hz) if rate_hz > 0.0 else -1
         self._packers: dict[int, Callable[[Signals], list[Message]]] = {NAMED_VALUE_FLOAT: named_messages}
         if to_array is not None:
             self._packers[DEBUG_FLOAT_ARRAY] = lambda signals: [to_array(signals)]
+        if vector is not None:
+            self._packers[DEBUG_VECT] = lambda signals: [vector_message(signals, vector)]
         self._interval_us = dict.fromkeys(self._packers, self._default_us)
         self._due_us: dict[int, int] = {}
         self._last: Signals | None = None

@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -77,6 +78,46 @@ def test_a_flight_in_lock_step_over_udp_repeats_bit_for_bit(hop: Path, tmp_path:
         flown.append((commands(log), truth.read_bytes()))
     assert len(flown[0][0]) > 300
     assert flown[0] == flown[1]
+
+
+@contextlib.contextmanager
+def plotting_program() -> Iterator[tuple[int, list[bytes]]]:
+    """A port, and the datagrams that arrive there."""
+    heard: list[bytes] = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+        end.bind(("127.0.0.1", 0))
+        port = end.getsockname()[1]
+
+        def listen() -> None:
+            while data := end.recv(65535):
+                heard.append(data)
+
+        thread = threading.Thread(target=listen)
+        thread.start()
+        try:
+            yield port, heard
+        finally:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+                other.sendto(b"", ("127.0.0.1", port))
+            thread.join(20)
+
+
+def test_a_plotting_program_gets_the_signals_that_the_log_has(hop: Path, tmp_path: Path) -> None:
+    port, log = free_port(), tmp_path / "flight.tlog"
+    vehicle = [*VEHICLE, "run", "--link", f"udpout:127.0.0.1:{port}", "--lockstep"]
+    daemon = [*DAEMON, "run", "--config", str(hop), "--link", f"udpin:127.0.0.1:{port}", "--lockstep"]
+    with plotting_program() as (place, heard), started(vehicle):
+        plot = ["--plot", f"udpout:127.0.0.1:{place}"]
+        with started([*daemon, "--arm", "--engage", "--log", str(log), *plot]) as flying:
+            _, complaints = flying.communicate(timeout=60)
+        assert flying.returncode == 0, complaints
+    steps = [values for data in heard if "dt" in (values := json.loads(data))]
+    assert len(steps) > 300
+    table = read_signals(log)
+    row = {time_us / 1e6: k for k, time_us in enumerate(table.time_us.tolist())}
+    for step in steps:
+        logged = table.estimate[row[step["timestamp"]], 3]
+        assert step["altitude/estimate"] == pytest.approx(logged, rel=1e-6)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

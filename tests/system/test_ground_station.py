@@ -268,6 +268,30 @@ def test_inner_signals_go_out_at_the_rate_that_is_asked_for(holding):
     assert all(message.tc1 != 0 for message in ground.heard("TIMESYNC"))
 
 
+def test_one_channel_s_signals_go_out_as_numbers_with_fields_of_their_own(lock_step_flight, tmp_path):
+    file = tmp_path / "vector.toml"
+    file.write_text(bundled("demo-px4.toml").read_text() + '\n[signals]\nvector = "altitude"\n')
+    flight = lock_step_flight("px4", daemon_file=file)
+    ground = GroundStation(flight)
+    off = (
+        1.0,
+        lambda: ground.command(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, mavlink.MAVLINK_MSG_ID_DEBUG_VECT, -1),
+    )
+    counts: list[int] = []
+
+    def count() -> None:
+        counts.append(len(ground.heard("DEBUG_VECT")))
+
+    flight.fly(Script(flight, (0.0, count), (1.0, count), off, (2.0, count)))
+    assert counts[1] - counts[0] == pytest.approx(10, abs=1)
+    assert counts[2] - counts[1] <= 1
+    last = ground.heard("DEBUG_VECT")[-1]
+    step = next(item for item in flight.signals if item.time_us == last.time_usec)
+    assert last.name == "ALT"
+    values = step.reference[3], step.estimate[3], step.disturbance[3]
+    assert (last.x, last.y, last.z) == tuple(np.float32(values))
+
+
 def test_what_the_daemon_is_can_be_asked_for(holding):
     ground = GroundStation(holding)
     request = mavlink.MAV_CMD_REQUEST_MESSAGE
@@ -286,5 +310,6 @@ def test_what_the_daemon_is_can_be_asked_for(holding):
     (interval,) = ground.heard("MESSAGE_INTERVAL")
     assert (interval.message_id, interval.interval_us) == (251, 100_000)
     assert [ack.result for ack in ground.heard("COMMAND_ACK")] == [0, 0, 3, 3]
+    assert not ground.heard("DEBUG_VECT")  # there is none without a channel for it
     (ping,) = ground.heard("PING")
     assert (ping.time_usec, ping.seq, ping.target_system, ping.target_component) == (77, 5, 255, 190)
