@@ -61,6 +61,8 @@ class Commands:
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._request_version,
             mavlink.MAV_CMD_GET_HOME_POSITION: self._request_home,
         }
+        if server.px4:
+            self._at_once[mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION] = self._request_protocol
         self._by_commander: dict[int, Handler] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
             mavlink.MAV_CMD_DO_SET_MODE: self._do_set_mode,
@@ -150,7 +152,7 @@ class Commands:
     def _set_message_interval(self, peer: Peer, command: Command) -> Answer:
         message_id, asked = _whole(command.parameters[0]), command.parameters[1]
         keeps_its_rate = self._server.px4 and message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT
-        if message_id not in telemetry.BUILDERS or keeps_its_rate:
+        if not self._has(message_id) or keeps_its_rate:
             return Result.FAILED
         if not math.isfinite(asked) or asked < -1.0:
             return Result.DENIED
@@ -170,7 +172,7 @@ class Commands:
 
     def _get_message_interval(self, peer: Peer, command: Command) -> Answer:
         message_id = _whole(command.parameters[0])
-        if message_id not in telemetry.BUILDERS:
+        if not self._has(message_id):
             peer.send(mavlink.MAVLink_message_interval_message(max(0, message_id), 0))
             return Result.FAILED
         stream = peer.streams.get(message_id)
@@ -183,11 +185,17 @@ class Commands:
     def _request_version(self, peer: Peer, command: Command) -> Answer:
         return self._send_once(peer, mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION)
 
+    def _request_protocol(self, peer: Peer, command: Command) -> Answer:
+        return self._send_once(peer, telemetry.ProtocolVersion.id)
+
     def _request_home(self, peer: Peer, command: Command) -> Answer:
         return self._send_once(peer, mavlink.MAVLINK_MSG_ID_HOME_POSITION)
 
+    def _has(self, message_id: int) -> bool:
+        return message_id in telemetry.BUILDERS and (self._server.px4 or message_id not in telemetry.PX4_ONLY)
+
     def _send_once(self, peer: Peer, message_id: int) -> Answer:
-        if message_id not in telemetry.BUILDERS:
+        if not self._has(message_id):
             return Result.DENIED if self._server.px4 else Result.FAILED
         message = self._server.build(message_id)
         if message is None:

@@ -100,9 +100,23 @@ class MavlinkServer:
         """Handle what a peer sent, at the present time."""
         peer = self.add_peer(key)
         for message in peer.parse(data):
+            self._pass_on(peer, message)
             handler = self._handlers.get(message.get_type())
             if handler is not None and self._is_for_us(message):
                 handler(peer, message)
+
+    def _pass_on(self, peer: Peer, message: Message) -> None:
+        """Between peers, as both firmwares do between their links: what is not for the autopilot alone."""
+        frame = bytes(message.get_msgbuf())
+        at = 5 if frame[0] == mavlink.PROTOCOL_MARKER_V2 else 3
+        source = frame[at], frame[at + 1]  # pymavlink does not tell it of messages that it does not know
+        target = getattr(message, "target_system", 0), getattr(message, "target_component", 0)
+        peer.heard.add(source)
+        if (self.system_id, COMPONENT_ID) in (source, target):
+            return
+        for other in self.peers.values():
+            if other is not peer and other.leads_to(*target):
+                other.pass_on(frame)
 
     def _is_for_us(self, message: Message) -> bool:
         system = getattr(message, "target_system", 0)

@@ -63,6 +63,7 @@ class Peer:
         self.parameter_queue: deque[str] = deque()
         self.upload: list[Message | None] = []
         self.upload_type = 0
+        self.heard: set[tuple[int, int]] = set()
         self._next_us = 0
         self._frames: list[bytes] = []
         for message_id, rate in defaults.items():
@@ -116,6 +117,14 @@ class Peer:
     def send(self, message: Message) -> None:
         """Queue a message for the next datagram."""
         self._frames.append(self.pack(message))
+
+    def leads_to(self, system: int, component: int) -> bool:
+        """Is that component, or one of that system (component 0), behind this peer? Everybody (0) is."""
+        return system == 0 or any(system == s and component in (0, c) for s, c in self.heard)
+
+    def pass_on(self, frame: bytes) -> None:
+        """Queue another's frame as it is."""
+        self._frames.append(frame)
 
     def take_datagrams(self) -> list[bytes]:
         """What was queued, as few datagrams as possible."""

@@ -7,8 +7,9 @@ MAVLink's here, with `frames`, and nowhere else on the way out.
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable, Mapping
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -29,6 +30,24 @@ INT16_MAX = 32767
 STATUSTEXT_BYTES = 50
 
 Message: TypeAlias = Any  # pymavlink has no types
+
+
+class ProtocolVersion(mavlink.MAVLink_message):  # type: ignore[misc]
+    """PROTOCOL_VERSION (minimal.xml), which pymavlink lacks: MAVLink 2, and 1 is understood."""
+
+    id = 300
+    fieldnames: ClassVar = ["version", "min_version", "max_version"]
+    crc_extra = 217
+
+    def __init__(self) -> None:
+        super().__init__(self.id, "PROTOCOL_VERSION")
+        self._fieldnames = self.fieldnames
+        self.version, self.min_version, self.max_version = 200, 100, 200
+
+    def pack(self, mav: Any, force_mavlink1: bool = False) -> bytes:
+        """The frame; without hashes of the specification, which are zeros."""
+        payload = struct.pack("<HHH16x", self.version, self.min_version, self.max_version)
+        return bytes(self._pack(mav, self.crc_extra, payload, force_mavlink1=force_mavlink1))
 
 
 class Sample(NamedTuple):
@@ -293,6 +312,10 @@ def _version(s: Sample) -> Message:
     )
 
 
+def _protocol_version(s: Sample) -> Message:
+    return ProtocolVersion()
+
+
 def _mission_current(s: Sample) -> Message:
     return mavlink.MAVLink_mission_current_message(0)
 
@@ -331,12 +354,16 @@ BUILDERS: Mapping[int, Builder] = {
     mavlink.MAVLINK_MSG_ID_ALTITUDE: _altitude,
     mavlink.MAVLINK_MSG_ID_BATTERY_STATUS: _battery,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: _version,
+    ProtocolVersion.id: _protocol_version,
     mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT: _ekf_report,
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_state,
 }
 """What can be asked for, by message id. A builder returns None while there is nothing to say."""
+
+PX4_ONLY = frozenset({ProtocolVersion.id})
+"""Messages that ArduPilot does not have."""
 
 NEED_POSITION = frozenset(
     {

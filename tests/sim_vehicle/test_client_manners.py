@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from itertools import groupby
 
 import pytest
@@ -60,3 +61,15 @@ def test_arducopter_sends_its_heartbeat_as_often_as_asked_and_px4_refuses(copter
         start = pilot.now
         pilot.run(2.0)
         assert len(pilot.messages("HEARTBEAT", start)) == pytest.approx(count, abs=1)
+
+
+def test_px4_says_that_it_speaks_mavlink_2_or_qgroundcontrol_would_fall_back_to_1(copter, px4):
+    accepted, failed, unsupported, number = 0, 4, 3, 300
+    assert px4.ask(mavlink.MAV_CMD_REQUEST_MESSAGE, number) == accepted
+    assert px4.ask(mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, 1) == accepted
+    frames = [bytes(m.get_msgbuf()) for _, m in px4.received if m.get_type() == f"UNKNOWN_{number}"]
+    assert [frame[10:-2] for frame in frames] == [struct.pack("<HHH", 200, 100, 200).rstrip(b"\0")] * 2
+    checksum = mavlink.x25crc(frames[0][1:-2] + b"\xd9")  # CRC_EXTRA of message 300 is 217
+    assert frames[0][-2:] == struct.pack("<H", checksum.crc)
+    assert copter.ask(mavlink.MAV_CMD_REQUEST_MESSAGE, number) == failed
+    assert copter.ask(mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, 1) == unsupported
