@@ -7,7 +7,6 @@ protocols: setpoints, parameters, missions, data streams, time synchronisation.
 from __future__ import annotations
 
 import heapq
-import zlib
 from collections.abc import Callable, Hashable
 from typing import TypeAlias
 
@@ -29,7 +28,9 @@ PARAMETER_SLOWDOWN = 4
 HASH_PARAMETER = "_HASH_CHECK"
 """Answered by PX4: a checksum of all parameters, so that ground stations can use their cache."""
 
-FTP_NAK, FTP_UNKNOWN_COMMAND = 129, 7
+FTP_NAK, FTP_UNKNOWN_COMMAND, FTP_NO_SUCH_FILE = 129, 7, 10
+FTP_ABOUT_FILES = (3, 4, 14)
+"""List a directory, open a file to read, checksum of a file."""
 
 Handler: TypeAlias = Callable[[Peer, Message], None]
 
@@ -187,8 +188,7 @@ class MavlinkServer:
         """PARAM_VALUE of one parameter (or of PX4's checksum)."""
         store = self.firmware.parameters
         if name == HASH_PARAMETER:
-            text = "".join(f"{key}={store[key]!r};" for key in store.names)
-            value = float(np.array([zlib.crc32(text.encode())], dtype="<u4").view("<f4")[0])
+            value = float(np.array([store.checksum()], dtype="<u4").view("<f4")[0])
             kind, index = mavlink.MAV_PARAM_TYPE_UINT32, 65535
         else:
             value, kind = store.to_wire(name), WIRE_TYPE[store.kind(name)]
@@ -214,6 +214,9 @@ class MavlinkServer:
     def _parameter_set(self, peer: Peer, message: Message) -> None:
         store = self.firmware.parameters
         name = str(message.param_id).rstrip("\x00")
+        if self.px4 and name == HASH_PARAMETER:
+            peer.parameter_queue.clear()  # the ground station has them all in its cache
+            return
         if name not in store:
             self.firmware.texts.append((Severity.WARNING, f"unknown param: {name}"))
             return
@@ -312,13 +315,16 @@ class MavlinkServer:
             )
 
     def _ftp(self, peer: Peer, message: Message) -> None:
-        """No files here: say so, so that clients fall back at once instead of waiting."""
+        """No files here: say so, so that clients fall back at once instead of waiting.
+
+        QGroundControl does only if it is the file that is missing, not the command.
+        """
         request = bytes(message.payload)
         answer = bytearray(251)
         answer[0:2] = (int.from_bytes(request[0:2], "little") + 1 & 0xFFFF).to_bytes(2, "little")
         answer[2] = request[2]
         answer[3:7] = bytes((FTP_NAK, 1, request[3], 0))
-        answer[12] = FTP_UNKNOWN_COMMAND
+        answer[12] = FTP_NO_SUCH_FILE if request[3] in FTP_ABOUT_FILES else FTP_UNKNOWN_COMMAND
         peer.send(
             mavlink.MAVLink_file_transfer_protocol_message(
                 0, message.get_srcSystem(), message.get_srcComponent(), answer

@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 import math
 import struct
+import zlib
 from collections.abc import Iterable, Mapping
 from typing import Literal, NamedTuple, TypeAlias
 
@@ -72,6 +73,15 @@ class ParameterStore:
                 raise ValueError(f"{value:g} does not fit {kind}; the limit is {_RANGE[kind] - 1}")
         self._values[name] = value
         self.revision += 1
+
+    def checksum(self) -> int:
+        """PX4's `_HASH_CHECK`: CRC-32, without its inversions, of names and 4-byte values in order."""
+        inverted = 0xFFFFFFFF
+        for name in self.names:
+            code = "f" if self._kinds[name] == "real32" else "i"
+            value = self._values[name] if code == "f" else int(self._values[name])
+            inverted = zlib.crc32(name.encode() + struct.pack(f"<{code}", value), inverted)
+        return inverted ^ 0xFFFFFFFF
 
     def to_wire(self, name: str) -> float:
         """What the float field of PARAM_VALUE must hold."""
