@@ -26,6 +26,8 @@ PX4_LATENCY_US = 20_000
 FORCE_ARM = (21196.0, 2989.0)
 """Magic values of param2 that force arming and disarming."""
 
+CHANGE_MODE = mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+
 INT32_MAX = 2**31 - 1
 """A coordinate of COMMAND_INT that is not given."""
 
@@ -86,14 +88,14 @@ class Commands:
         self._handle(peer, Command(int(message.command), parameters, False, message))
 
     def handle_int(self, peer: Peer, message: Message) -> None:
-        """COMMAND_INT. Its positions are only looked at for whether they are given."""
+        """COMMAND_INT; latitude and longitude become degrees, as in COMMAND_LONG."""
         parameters = (
             message.param1,
             message.param2,
             message.param3,
             message.param4,
-            math.nan if message.x == INT32_MAX else float(message.x),
-            math.nan if message.y == INT32_MAX else float(message.y),
+            math.nan if message.x == INT32_MAX else message.x * 1e-7,
+            math.nan if message.y == INT32_MAX else message.y * 1e-7,
             message.z,
         )
         relative = message.frame in _RELATIVE_FRAMES
@@ -224,21 +226,28 @@ class Commands:
         return self._server.firmware.set_custom_mode(int(main) << 16 | max(0, _whole(sub)) << 24)
 
     def _take_off(self, peer: Peer, command: Command) -> Answer:
-        """Height above home in param7 for ArduPilot, altitude above sea level for PX4."""
+        return self._server.firmware.take_off(self._above_home(command))
+
+    def _above_home(self, command: Command) -> float:
+        """Param7: height above home for ArduPilot, altitude above sea level for PX4; NaN if not given."""
         height = command.parameters[6]
         if self._server.px4 and not command.relative:
             home = self._server.firmware.home
             height -= telemetry.ORIGIN_ALTITUDE + (home[2] if home else 0.0)
-        return self._server.firmware.take_off(height)
+        return height
 
     def _pause(self, peer: Peer, command: Command) -> Answer:
         return self._server.firmware.loiter() if command.parameters[0] == 0.0 else Result.DENIED
 
     def _reposition(self, peer: Peer, command: Command) -> Answer:
-        """Only "stay here" (no coordinates), which is how ground stations pause a PX4."""
-        if any(math.isfinite(value) for value in command.parameters[4:6]):
-            return Result.UNSUPPORTED
-        return self._server.firmware.loiter()
+        """PX4: stay here (nothing given: pause), go there, change the height. ArduPilot: only stay here."""
+        latitude, longitude = command.parameters[4:6]
+        given = math.isfinite(latitude) and math.isfinite(longitude)
+        place = telemetry.local_position(latitude, longitude) if given else None
+        firmware = self._server.firmware
+        if not _whole(command.parameters[1]) & CHANGE_MODE and firmware.mode != firmware.hold_mode:
+            return Result.DENIED
+        return firmware.reposition(place, self._above_home(command))
 
     def _gripper(self, peer: Peer, command: Command) -> Answer:
         actions: dict[float, GripperAction] = {

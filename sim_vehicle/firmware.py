@@ -307,6 +307,10 @@ class Firmware(ABC):
         """MAV_CMD_NAV_LOITER_UNLIM, and the pause of MAV_CMD_DO_PAUSE_CONTINUE."""
         return self.set_custom_mode(self.hold_mode)
 
+    def reposition(self, place: tuple[float, float] | None, height: float) -> Result:
+        """MAV_CMD_DO_REPOSITION: to `place` x, y [m] (None: here), `height` above home [m] (NaN: as now)."""
+        return Result.UNSUPPORTED if place is not None else self.loiter()
+
     @property
     def attitude_ready(self) -> bool:
         """The estimator has an attitude."""

@@ -145,8 +145,19 @@ class Px4Firmware(Firmware):
     def take_off(self, height: float) -> Result:
         """Climb to `height` above home [m], or MIS_TAKEOFF_ALT, and hold."""
         result = self.set_custom_mode(Px4Mode.TAKEOFF)
+        if result == Result.ACCEPTED:
+            usual = self.parameters["MIS_TAKEOFF_ALT"]
+            self._takeoff_height = height if math.isfinite(height) else usual
+        return result
+
+    def reposition(self, place: tuple[float, float] | None, height: float) -> Result:
+        """Hold there, at the speeds of the autopilot's own flights."""
+        result = self.loiter()
         if result == Result.ACCEPTED and math.isfinite(height):
-            self._takeoff_height = height
+            base = self.home[2] if self.home else 0.0
+            self.guidance.climb_to(base + height, self.parameters["MPC_Z_VEL_MAX_UP"])
+        if result == Result.ACCEPTED and place is not None:
+            self.guidance.fly_to(*place, self.parameters["MPC_XY_CRUISE"])
         return result
 
     def gripper(self, action: GripperAction) -> list[tuple[float, Result]] | None:
@@ -233,9 +244,9 @@ class Px4Firmware(Firmware):
     def _switch(self, mode: Px4Mode) -> None:
         if mode != self.mode:
             self.events.append(f"mode {mode.label}")
+            self._takeoff_height = self.parameters["MIS_TAKEOFF_ALT"]
         self.mode = mode
         self._climbing = self._returning = False
-        self._takeoff_height = self.parameters["MIS_TAKEOFF_ALT"]
         estimate = self.estimate
         self.guidance.engage(estimate, self._mean_thrust)
         if mode == Px4Mode.LAND:

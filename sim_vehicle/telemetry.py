@@ -70,6 +70,16 @@ def latitude_longitude(position: tuple[float, float, float]) -> tuple[int, int]:
     return round(latitude * 1e7), round((HOME_LONGITUDE_DEG + math.degrees(east / scale)) * 1e7)
 
 
+def local_position(latitude: float, longitude: float) -> tuple[float, float]:
+    """Local x and y [m] of a place on Earth [degrees]; undoes `latitude_longitude`."""
+    north = EARTH_RADIUS * math.radians(latitude - HOME_LATITUDE_DEG)
+    scale = EARTH_RADIUS * math.cos(math.radians(HOME_LATITUDE_DEG))
+    x, y, _ = frames.vector_from_ned(
+        np.array([north, scale * math.radians(longitude - HOME_LONGITUDE_DEG), 0.0])
+    )
+    return float(x), float(y)
+
+
 def _ned(vector: tuple[float, float, float]) -> list[float]:
     return [float(value) for value in frames.vector_to_ned(np.array(vector))]
 

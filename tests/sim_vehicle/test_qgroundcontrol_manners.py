@@ -102,3 +102,92 @@ def test_of_an_arducopter_it_wants_a_file_of_parameters_first_and_lists_them_at_
     (answer,) = copter.messages("FILE_TRANSFER_PROTOCOL")
     assert bytes(answer.payload)[0:6] == bytes((6, 0, 0, NAK, 1, OPEN_FILE))
     assert answer.payload[12] == NO_SUCH_FILE
+
+
+@pytest.mark.parametrize("message_id", [395, 397])  # COMPONENT_INFORMATION, COMPONENT_METADATA
+def test_what_a_vehicle_does_not_have_is_refused_at_once(px4, copter, message_id):
+    for pilot in (px4, copter):
+        refused = pilot.ask(mavlink.MAV_CMD_REQUEST_MESSAGE, message_id)
+        assert refused in (mavlink.MAV_RESULT_DENIED, mavlink.MAV_RESULT_FAILED)
+
+
+# --------------------------------------------------------------------------- buttons of the Fly view
+
+NAN = float("nan")
+STILL_S = 1.3
+"""So long it waits for a HEARTBEAT with the mode that it asked for, three times."""
+
+
+def height_above_sea(pilot):
+    return pilot.messages("GLOBAL_POSITION_INT")[-1].alt * 1e-3
+
+
+def taken_off(px4, height):
+    """The Takeoff button for a PX4: the command first, arming once it was accepted."""
+    px4.run(1.0)
+    above_sea = height_above_sea(px4) + height
+    assert px4.ask(mavlink.MAV_CMD_NAV_TAKEOFF, -1, 0, 0, NAN, NAN, NAN, above_sea) == ACCEPTED
+    assert px4.ask(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == ACCEPTED
+    px4.run(10.0)
+    assert (px4.height, px4.mode) == (pytest.approx(height, abs=0.2), "HOLD")
+
+
+def test_takeoff_of_a_px4_is_commanded_before_it_is_armed(px4):
+    taken_off(px4, 5.0)
+
+
+def test_takeoff_of_an_arducopter_follows_its_armed_heartbeat_within_a_second(copter):
+    copter.ask(mavlink.MAV_CMD_DO_SET_MODE, 1, 4)
+    copter.run(STILL_S)
+    assert copter.messages("HEARTBEAT")[-1].custom_mode == 4
+    assert copter.ask(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, 1) == ACCEPTED
+    copter.run(1.0)
+    assert copter.messages("HEARTBEAT")[-1].base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+    assert copter.ask(mavlink.MAV_CMD_NAV_TAKEOFF, 0, 0, 0, 0, 0, 0, 5.0) == ACCEPTED
+    copter.run(12.0)
+    assert copter.height == pytest.approx(5.0, abs=0.2)
+
+
+def test_pause_change_of_height_and_go_there_are_one_command_of_a_px4(px4):
+    taken_off(px4, 5.0)
+    change_mode = mavlink.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE
+    reposition = mavlink.MAV_CMD_DO_REPOSITION
+    assert px4.ask(reposition, -1, change_mode, 0, NAN, NAN, NAN, NAN) == ACCEPTED
+    px4.run(STILL_S)
+    assert px4.height == pytest.approx(5.0, abs=0.2)
+    home = px4.messages("HOME_POSITION")[-1].altitude * 1e-3
+    assert px4.ask(reposition, -1, change_mode, 0, NAN, NAN, NAN, home + 8.0) == ACCEPTED
+    px4.run(6.0)
+    assert px4.height == pytest.approx(8.0, abs=0.2)
+    here = px4.messages("GLOBAL_POSITION_INT")[-1]
+    px4.send(
+        mavlink.MAVLink_command_int_message(
+            1,
+            1,
+            mavlink.MAV_FRAME_GLOBAL,
+            reposition,
+            0,
+            0,
+            -1,
+            change_mode,
+            0,
+            NAN,
+            here.lat + 900,
+            here.lon,
+            home + 8.0,
+        )
+    )
+    px4.run(12.0)
+    there = px4.messages("GLOBAL_POSITION_INT")[-1]
+    assert (there.lat - here.lat, there.lon - here.lon) == (
+        pytest.approx(900, abs=40),
+        pytest.approx(0, abs=40),
+    )
+    assert px4.vehicle.state.rigid[0] == pytest.approx(10.0, abs=0.5)
+    assert px4.height == pytest.approx(8.0, abs=0.2)
+
+
+def test_an_arducopter_that_cannot_go_there_says_so(copter):
+    copter.take_off(5.0)
+    go = mavlink.MAV_CMD_DO_REPOSITION
+    assert copter.ask(go, -1, 1, 0, NAN, 47.4, 8.5, 500.0) == mavlink.MAV_RESULT_UNSUPPORTED
