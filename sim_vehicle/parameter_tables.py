@@ -17,6 +17,7 @@ from sim_vehicle.parameters import Parameter
 PX4: tuple[Parameter, ...] = (
     # identity and what ground stations look for
     Parameter("SYS_AUTOSTART", 4001, "int32"),
+    Parameter("SYS_AUTOCONFIG", 0, "int32"),
     Parameter("SYS_HITL", 0, "int32"),
     Parameter("SYS_HAS_GPS", 1, "int32"),
     Parameter("SYS_HAS_MAG", 1, "int32"),
@@ -139,6 +140,8 @@ ARDUPILOT: tuple[Parameter, ...] = (
     Parameter("COMPASS_OFS_X", 5.0, "real32"),
     Parameter("COMPASS_OFS_Y", 13.0, "real32"),
     Parameter("COMPASS_OFS_Z", -18.0, "real32"),
+    *(Parameter(f"COMPASS_OFS{number}_{axis}", 0.0, "real32") for number in (2, 3) for axis in "XYZ"),
+    Parameter("COMPASS_DEC", 0.0, "real32"),
     Parameter("RCMAP_ROLL", 1, "int8"),
     Parameter("RCMAP_PITCH", 2, "int8"),
     Parameter("RCMAP_THROTTLE", 3, "int8"),
