@@ -58,7 +58,7 @@ def fly(
         "payload": {"gripper_mass_kg": mass_kg, "schedule": changes.pop("schedule", [])},
         "parameters": changes.pop("parameters", {}),
     }
-    payload = daemon.service.payload._replace(**changes)
+    payload = replace(daemon.service.payload, **changes)
     flight.daemon = replace(daemon, service=replace(daemon.service, scenario=SCENARIO, payload=payload))
     flight.vehicle = SimulatedVehicle(sim_config.load(bundled(f"{name}-vehicle.toml"), vehicle))
     result = flight.fly()
