@@ -75,6 +75,8 @@ class Px4HilSection(Section):
     """Outputs (PWM_MAIN_FUNCn) of the front, left, rear and right motor."""
     gripper_output: Annotated[int, Field(ge=0, le=16)] = 5
     """Output of the gripper, the one with PWM_MAIN_FUNCn 430; 0 for none."""
+    range_finder: bool = False
+    """A range finder that looks down: 20 Hz, 2 cm of noise."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

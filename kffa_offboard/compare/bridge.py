@@ -4,7 +4,9 @@ Physics on its way stops at each barrier (`backend.barrier_port`) and tells the 
 firmware has sent by then, and is old enough for the link's delay, goes to the daemon, followed by a TIMESYNC
 request, which is the daemon's barrier (`mavlink.shell`). Its answer ends its turn; its frames go to the
 firmware when the delay has passed for them too, and physics goes on. So neither a busy computer nor a slow
-one changes the flight. Before the daemon has said a word, and after its end, physics is let go at once.
+one changes the flight. Before the daemon has said a word, and after its end, physics is let go at once. With
+`meeting_s` the daemon is met at that time, not earlier, and waited for: each flight with a seed begins at the
+same moment of the noise.
 
 The firmware's own TIMESYNC is left out: it would be taken for a barrier.
 """
@@ -45,9 +47,16 @@ class Bridge:
     target_system : system id of the firmware, in whose name the barrier is sent
     delay_s : of the link, in simulated time, each way
     firmware : where the firmware is met, if not on a free port
+    meeting_s : simulated time at which the daemon is met and waited for; 0 for whenever it comes
     """
 
-    def __init__(self, target_system: int, delay_s: float, firmware: FirmwareEnd | None = None) -> None:
+    def __init__(
+        self,
+        target_system: int,
+        delay_s: float,
+        firmware: FirmwareEnd | None = None,
+        meeting_s: float = 0.0,
+    ) -> None:
         self._firmware = firmware or FirmwareEnd()
         self._daemon, self._physics = loopback_socket(), loopback_socket()
         self.firmware_port = self._firmware.port
@@ -55,6 +64,7 @@ class Bridge:
             int(end.getsockname()[1]) for end in (self._daemon, self._physics)
         )
         self._delay_us = round(delay_s * 1e6)
+        self._meeting_us = round(meeting_s * 1e6)
         self._barrier = Component(Route(own_system=target_system, own_component=1))
         self._parser = FrameParser(keeps_frames_whole=True)
         self._turn = threading.Lock()
@@ -69,6 +79,11 @@ class Bridge:
         """Raises FlightFailed if the daemon fell silent in the middle of the flight."""
         if self.trouble:
             raise FlightFailed(self.trouble)
+
+    @property
+    def time_s(self) -> float:
+        """Simulated time of the latest barrier, s."""
+        return self._time_us * 1e-6
 
     def let_go(self) -> None:
         """The daemon has ended: nobody is waited for any more."""
@@ -111,7 +126,7 @@ class Bridge:
         self._time_us = time_us
         self._hear_firmware()
         if not self._stop.is_set() and not self.trouble:
-            if self._daemon_at is None:
+            if self._daemon_at is None and time_us >= self._meeting_us:
                 self._meet_daemon()
             if self._daemon_at is not None:
                 self._give_turn(self._daemon_at, slack_us)
@@ -125,8 +140,16 @@ class Bridge:
 
     def _meet_daemon(self) -> None:
         """The daemon's first words tell where it is; what the firmware said before is stale."""
-        for _, sender in received(self._daemon):
-            self._daemon_at = sender
+        give_up = time.monotonic() + ANSWER_LIMIT_S
+        while True:
+            for _, sender in received(self._daemon):
+                self._daemon_at = sender
+            if self._daemon_at is not None or not self._meeting_us or self._stop.is_set():
+                break
+            if time.monotonic() > give_up:
+                self.trouble = f"no daemon within {ANSWER_LIMIT_S:g} s of wall time"
+                break
+            select.select([self._daemon], [], [], POLL_S)
         while self._to_daemon and self._to_daemon[0][0] < self._time_us:
             self._to_daemon.popleft()
 
@@ -153,9 +176,14 @@ class Bridge:
 
 
 @contextlib.contextmanager
-def bridge(target_system: int, delay_s: float, firmware: FirmwareEnd | None = None) -> Iterator[Bridge]:
+def bridge(
+    target_system: int,
+    delay_s: float,
+    firmware: FirmwareEnd | None = None,
+    meeting_s: float = 0.0,
+) -> Iterator[Bridge]:
     """A bridge that serves in a thread of its own until the block is left."""
-    served = Bridge(target_system, delay_s, firmware)
+    served = Bridge(target_system, delay_s, firmware, meeting_s)
     thread = threading.Thread(target=served.run, name="bridge", daemon=True)
     thread.start()
     try:

@@ -11,11 +11,12 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from kffa_offboard.compare.course import flown_steps
+from kffa_offboard.compare.estimate import EstimateFigures, measure_estimate, read_heights
 from kffa_offboard.compare.firmware import find_firmware
 from kffa_offboard.compare.flight import Progress as ShowProgress
 from kffa_offboard.compare.flight import fly
 from kffa_offboard.compare.joining import check_join, joined
-from kffa_offboard.compare.measure import measure_load, measure_steps
+from kffa_offboard.compare.measure import LoadFigures, measure_load, measure_steps
 from kffa_offboard.compare.plan import ComparePlan, Join, Trial, trials
 from kffa_offboard.compare.report import Drawing, report
 from kffa_offboard.compare.results import Result, as_json, verdicts
@@ -23,7 +24,7 @@ from kffa_offboard.compare.simulation import Setup
 from kffa_offboard.compare.table import firmware_name, tables
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.tlog import read_signals
-from kffa_offboard.trials.metrics import FlightFailed, read_truth
+from kffa_offboard.trials.metrics import FlightFailed, Truth, read_truth
 from kffa_offboard.trials.processes import terminate_as_interrupt
 
 FAILED, INTERRUPTED = 1, 130
@@ -123,9 +124,18 @@ def _fly_one(setup: Setup, trial: Trial, show: ShowProgress) -> Result:
         if trial.course == "attitude":
             steps = measure_steps(truth, read_signals(setup.file(trial, ".tlog")), flown_steps())
             return Result(trial, flown, truth, steps=tuple(steps))
-        return Result(trial, flown, truth, load=measure_load(truth))
+        load = measure_load(truth)
+        return Result(trial, flown, truth, load=load, estimate=_estimate(setup, trial, truth, load))
     except FlightFailed as failure:
         return Result(trial, failure=str(failure))
+
+
+def _estimate(setup: Setup, trial: Trial, truth: Truth, load: LoadFigures) -> EstimateFigures | None:
+    """Of real firmware, where the daemon kept a log."""
+    if trial.native or setup.binary is None:
+        return None
+    log = read_heights(setup.file(trial, ".tlog"), trial.conditions.delay_s / 2.0)
+    return measure_estimate(truth, log, load)
 
 
 def _write(plan: ComparePlan, results: list[Result]) -> Path:

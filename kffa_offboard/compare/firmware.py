@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kffa_offboard.compare.plan import AutopilotName
+from kffa_offboard.compare.plan import AutopilotName, Trial
 from kffa_offboard.config import bundled
 from kffa_offboard.errors import UserError
 from kffa_offboard.trials.processes import free_port
@@ -36,6 +36,8 @@ TUNED_FILES: dict[AutopilotName, str] = {
     "px4": "compare-px4-tuned.params",
     "ardupilot": "compare-ardupilot-tuned.parm",
 }
+RANGE_FINDER_FILE = "compare-px4-range.params"
+"""PX4's estimate takes its height from the range finder."""
 
 
 @dataclass(frozen=True)
@@ -75,10 +77,20 @@ def find_firmware(autopilot: AutopilotName, path: Path) -> Path:
     return path
 
 
-def arducopter(binary: Path, directory: Path, link_port: int, instance: int, tuned: bool) -> FirmwareProcess:
+def parameter_files(autopilot: AutopilotName, trial: Trial) -> list[str]:
+    """What a trial's firmware is given, later files over earlier ones."""
+    names = [PARAMETER_FILES[autopilot]]
+    if trial.tuned:
+        names.append(TUNED_FILES[autopilot])
+    if trial.conditions.range_finder:
+        names.append(RANGE_FINDER_FILE)
+    return names
+
+
+def arducopter(binary: Path, directory: Path, link_port: int, instance: int, trial: Trial) -> FirmwareProcess:
     """ArduCopter that sends MAVLink to `link_port` on loopback; all its ports are free ones."""
     physics_port = free_port()
-    names = [PARAMETER_FILES["ardupilot"], *([TUNED_FILES["ardupilot"]] if tuned else [])]
+    names = parameter_files("ardupilot", trial)
     command = [
         str(binary),
         "--model",
@@ -98,14 +110,12 @@ def arducopter(binary: Path, directory: Path, link_port: int, instance: int, tun
     return FirmwareProcess(tuple(command), directory, physics_port)
 
 
-def px4(binary: Path, directory: Path, link_port: int, instance: int, tuned: bool) -> FirmwareProcess:
+def px4(binary: Path, directory: Path, link_port: int, instance: int, trial: Trial) -> FirmwareProcess:
     """PX4 that sends MAVLink to `link_port` on loopback, on one link with the rates of its offboard link."""
     build = binary.parent.parent
     scripts = directory / "scripts"
     scripts.mkdir()
-    parameters = bundled(PARAMETER_FILES["px4"]).read_text(encoding="utf-8")
-    if tuned:
-        parameters += bundled(TUNED_FILES["px4"]).read_text(encoding="utf-8")
+    parameters = "".join(bundled(name).read_text(encoding="utf-8") for name in parameter_files("px4", trial))
     (scripts / "px4-rc.params").write_text(parameters, encoding="utf-8")
     (scripts / "px4-rc.mavlink").write_text(
         f"#!/bin/sh\nmavlink start -x -u {free_port()} -r 4000000 -f -m onboard -o {link_port}\n",
@@ -138,7 +148,7 @@ class Firmware:
 
     physics: str
     section: str
-    start: Callable[[Path, Path, int, int, bool], FirmwareProcess]
+    start: Callable[[Path, Path, int, int, Trial], FirmwareProcess]
     system_id: Callable[[int], int]
     barrier_period_s: float
 
@@ -147,12 +157,14 @@ ARDUCOPTER = Firmware("ardupilot-json-vehicle.toml", "ardupilot_json", arducopte
 PX4 = Firmware("px4-hil-vehicle.toml", "px4_hil", px4, lambda instance: instance + 1, 0.004)
 
 
-def physics_backend(name: Firmware, port: int, barrier_port: int) -> dict[str, Any]:
+def physics_backend(
+    name: Firmware, port: int, barrier_port: int, range_finder: bool = False
+) -> dict[str, Any]:
     """[backend] of physics that goes as fast as the firmware can; `barrier_port` 0 for no barrier."""
     section: dict[str, Any] = {"port": port}
     if name.section == PX4.section:
         # OFFBOARD before its first setpoint stops PX4's outputs, and with them its time: go on soon.
-        section["outputs_timeout_s"] = OUTPUTS_TIMEOUT_S
+        section |= {"outputs_timeout_s": OUTPUTS_TIMEOUT_S, "range_finder": range_finder}
     backend: dict[str, Any] = {"real_time_factor": 0.0, name.section: section}
     if barrier_port:
         backend |= {"barrier_port": barrier_port, "barrier_period_s": name.barrier_period_s}

@@ -46,6 +46,7 @@ class Conditions:
     rate_hz : attitude and position telemetry
     delay_s : of the link between vehicle and daemon, half of it each way
     seed : of the noise of sensors; the daemon starts later with each
+    range_finder : the vehicle has one, and the autopilot's own estimate is set to take its height from it
     """
 
     load_kg: float = 5.0
@@ -53,6 +54,7 @@ class Conditions:
     rate_hz: float = 100.0
     delay_s: float = NORMAL_DELAY_S
     seed: int = 0
+    range_finder: bool = False
 
 
 def head_start_s(autopilot: AutopilotName, conditions: Conditions) -> float:
@@ -189,4 +191,28 @@ def _harder(autopilot: AutopilotName, conditions: Conditions) -> list[Trial]:
         for key in ("2kg", "6.73kg", "offset")
         for changed in [harder[key][1]]
     ]
-    return rows
+    return rows + (_with_range_finder(mode, output, conditions) if autopilot == "px4" else [])
+
+
+def _with_range_finder(mode: str, output: str, conditions: Conditions) -> list[Trial]:
+    """The main rows again on a vehicle that measures its height above the ground."""
+    better = replace(conditions, range_finder=True)
+    return [
+        Trial("native-stock-range", f"{mode}, stock gains, range finder", "native", conditions=better),
+        Trial(
+            "native-tuned-range",
+            f"{mode}, tuned gains, range finder",
+            "native",
+            tuned=True,
+            conditions=better,
+        ),
+        Trial("kffa-ladrc-range", "KFFA-LADRC, range finder", "kffa-ladrc", output, conditions=better),
+        Trial(
+            "release-range",
+            "KFFA-LADRC, own release, range finder",
+            "kffa-ladrc",
+            output,
+            course="release",
+            conditions=better,
+        ),
+    ]

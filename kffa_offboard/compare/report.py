@@ -10,7 +10,7 @@ from html import escape
 from pathlib import Path
 
 from kffa_offboard import __version__
-from kffa_offboard.compare.firmware import PARAMETER_FILES, TUNED_FILES
+from kffa_offboard.compare.firmware import PARAMETER_FILES, RANGE_FINDER_FILE, TUNED_FILES
 from kffa_offboard.compare.measure import RECOVERED_M, LoadFigures
 from kffa_offboard.compare.plan import DEFAULT_OUTPUT, DROP_S, HEIGHT_M, NATIVE_MODE, PICKUP_S, ComparePlan
 from kffa_offboard.compare.results import Result, Verdict
@@ -120,7 +120,8 @@ def _load_table(results: Sequence[Result]) -> str:
         "the event, from the mean of the 5 s before the pick-up. Recovery: until it stays within "
         f"{100 * RECOVERED_M:g} cm. Hover and level: rms in the 5 s before the pick-up. Tilt: largest roll or "
         "pitch in the 5 s after either event. Times of the events are the simulator’s, not told to anybody, except "
-        "in “own release”, where the daemon commands the drop.</p>"
+        "in “own release”, where the daemon commands the drop. Estimate: IAE of the error of the autopilot’s own estimate of "
+        "height in the same windows, which a controller that holds this estimate cannot avoid.</p>"
     )
     return _table(LOAD_HEADER, rows) + note
 
@@ -196,11 +197,14 @@ def _parameters(plan: ComparePlan) -> str:
     if plan.firmware is None:
         return "<p>The bundled firmware’s defaults.</p>"
     parts = []
-    for title, name in (
+    rows = [
         ("All rows: what this airframe needs; gains are stock", PARAMETER_FILES[plan.autopilot]),
         ("The row with tuned gains: these beside", TUNED_FILES[plan.autopilot]),
         ("The daemon", f"compare-{plan.autopilot}.toml"),
-    ):
+    ]
+    if plan.autopilot == "px4":
+        rows.append(("Rows with a range finder: these beside", RANGE_FINDER_FILE))
+    for title, name in rows:
         text = bundled(name).read_text(encoding="utf-8")
         parts.append(f"<details><summary>{title}: {name}</summary><pre>{escape(text)}</pre></details>")
     return "".join(parts)

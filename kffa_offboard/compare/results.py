@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from kffa_offboard.compare.estimate import EstimateFigures
 from kffa_offboard.compare.flight import Flown
 from kffa_offboard.compare.measure import LoadFigures, StepFigures
 from kffa_offboard.compare.plan import DEFAULT_OUTPUT, AutopilotName, ComparePlan, Trial
@@ -21,6 +22,7 @@ class Result:
     truth: Truth | None = None
     load: LoadFigures | None = None
     steps: tuple[StepFigures, ...] = ()
+    estimate: EstimateFigures | None = None
     failure: str | None = None
 
 
@@ -140,6 +142,7 @@ def as_json(plan: ComparePlan, results: Sequence[Result]) -> dict[str, Any]:
                 "failure": result.failure,
                 "remark": None if result.flown is None else result.flown.remark,
                 "load": None if result.load is None else asdict(result.load),
+                "estimate": None if result.estimate is None else asdict(result.estimate),
                 "steps": [asdict(step) for step in result.steps],
             }
             for result in results

@@ -44,6 +44,10 @@ class Between(Protocol):
     def let_go(self) -> None:
         """The daemon has ended."""
 
+    @property
+    def time_s(self) -> float:
+        """Simulated time so far, s; 0 if it does not know."""
+
 
 class JoinedFirmware(Protocol):
     """A firmware that is already running; see `joining`."""
@@ -109,7 +113,7 @@ class Simulation:
     @property
     def time_s(self) -> float:
         """Simulated time so far, s."""
-        return flown_s(self.truth)
+        return max(flown_s(self.truth), 0.0 if self.bridge is None else self.bridge.time_s)
 
 
 @contextlib.contextmanager
@@ -152,13 +156,16 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
     directory.mkdir()
     name = firmware.PX4 if setup.autopilot == "px4" else firmware.ARDUCOPTER
     instance = firmware.free_instance()
+    head_start = head_start_s(setup.autopilot, trial.conditions)
     link = None
     if not trial.native:
-        link = stack.enter_context(bridge(name.system_id(instance), trial.conditions.delay_s / 2.0))
+        link = stack.enter_context(
+            bridge(name.system_id(instance), trial.conditions.delay_s / 2.0, meeting_s=head_start)
+        )
     link_port = free_port() if link is None else link.firmware_port
-    wanted = name.start(binary, directory, link_port, instance, trial.tuned)
+    wanted = name.start(binary, directory, link_port, instance, trial)
     barrier_port = 0 if link is None else link.physics_port
-    backend = firmware.physics_backend(name, wanted.physics_port, barrier_port)
+    backend = firmware.physics_backend(name, wanted.physics_port, barrier_port, trial.conditions.range_finder)
     document = merged(_read(bundled(name.physics)), {"backend": backend})
     physics = _physics(setup, trial, truth, document, stack)
     log = setup.file(trial, "-firmware.log")
@@ -175,7 +182,6 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
     )
     url = f"udpin:127.0.0.1:{link_port}" if link is None else f"udpout:127.0.0.1:{link.daemon_port}"
     running = (physics, ("the firmware", child, log))
-    head_start = head_start_s(setup.autopilot, trial.conditions)
     return Simulation(url, name.system_id(instance), truth, head_start, running, link)
 
 

@@ -20,6 +20,7 @@ LOAD_HEADER = (
     "hover rms [m]",
     "level rms [deg]",
     "tilt peak [deg]",
+    "estimate: IAE [m s]",
 )
 STEP_HEADER = ("", "channel", "overshoot [%]", "settling [s]", "turns")
 _DASH = "—"
@@ -50,7 +51,16 @@ def load_row(result: Result) -> tuple[str, ...]:
         f"{load.hover_rms_m:.4f}",
         f"{load.level_rms_deg:.2f}",
         f"{load.tilt_peak_deg:.1f}",
+        _estimate(result),
     )
+
+
+def _estimate(result: Result) -> str:
+    """After pick-up and drop."""
+    estimate = result.estimate
+    if estimate is None:
+        return _DASH
+    return f"{estimate.pickup.iae_m_s:.3f}, {estimate.drop.iae_m_s:.3f}"
 
 
 def step_rows(result: Result) -> list[tuple[str, ...]]:

@@ -32,6 +32,9 @@ TRUTH_PERIOD_US = 8_000
 FIX_PERIOD_US = 100_000
 """HIL_GPS at 10 Hz."""
 
+RANGE_PERIOD_US = 48_000
+"""DISTANCE_SENSOR at 20 Hz."""
+
 ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 LOCK_STEP = 1
 """Bit of HIL_ACTUATOR_CONTROLS.flags: PX4's time stands still until the next HIL_SENSOR."""
@@ -79,6 +82,7 @@ class Px4Vehicle:
         self._imu_noise = sensors.ImuNoise(backend.accel_noise_m_s2, backend.gyro_noise_rad_s)
         self._motors = [output - 1 for output in backend.px4_hil.motor_outputs]
         self._gripper = backend.px4_hil.gripper_output - 1
+        self._range_finder = backend.px4_hil.range_finder
         self._new_session()
         self._record()
 
@@ -166,10 +170,27 @@ class Px4Vehicle:
         fix = self._receiver.take(now)
         if fix is not None:
             messages.append(_hil_gps(now, fix))
+        if self._range_finder and now % RANGE_PERIOD_US == 0:
+            messages.append(self._distance_sensor(now, state))
         if now % TRUTH_PERIOD_US == 0:
             messages.append(_hil_state(now, self.place, state, true))
         messages.append(self._hil_sensor(now, state, true))
         return b"".join(self._pack(message) for message in messages)
+
+    def _distance_sensor(self, now: int, state: airframe.AirframeState) -> Any:
+        """What points to nothing reports one centimetre more than it can measure, as lasers do."""
+        least, most = (round(100.0 * limit) for limit in px4_sensors.RANGE_M)
+        distance = px4_sensors.range_finder(self._noise, state, self._generator)
+        return mavlink.MAVLink_distance_sensor_message(
+            (now // 1000) % 2**32,
+            least,
+            most,
+            most + 1 if distance is None else round(100.0 * distance),
+            mavlink.MAV_DISTANCE_SENSOR_LASER,
+            0,
+            mavlink.MAV_SENSOR_ROTATION_PITCH_270,
+            0,
+        )
 
     def _pack(self, message: Any) -> bytes:
         frame = bytes(message.pack(self._codec))

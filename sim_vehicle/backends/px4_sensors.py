@@ -1,4 +1,4 @@
-"""What PX4's simulated magnetometer, barometer and satellite receiver measure at a place on earth.
+"""What PX4's simulated magnetometer, barometer, satellite receiver and range finder measure on earth.
 
 The inertial unit is in `sensors`. Every draw comes from a seeded generator and every value has noise, because
 PX4 declares a sensor dead whose value repeats 100 times (lib/validation/DataValidator).
@@ -18,6 +18,13 @@ from sim_vehicle.frames import Array, body_to_frd, rotation_matrix, vector_from_
 
 EARTH_RADIUS = 6_371_000.0
 """m; the sphere of PX4's own map projection (lib/geo)."""
+
+
+RANGE_FINDER_CLEARANCE_M = 0.2
+"""Height of the range finder while the vehicle stands."""
+
+RANGE_M = (0.1, 40.0)
+"""Between what distances a range finder measures; a small laser's."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +68,7 @@ class Px4SensorNoise:
     fix_vertical: float = 0.1  # m
     fix_velocity: float = 0.05  # m/s
     fix_delay_us: int = 100_000  # EKF2_GPS_DELAY tells PX4
+    distance: float = 0.02  # m
 
 
 class Air(NamedTuple):
@@ -102,6 +110,19 @@ def barometer(place: Place, noise: Px4SensorNoise, position: Array, generator: n
     first, second = generator.standard_normal(2).tolist()
     pressure = standard_pressure(altitude) + noise.pressure * first
     return Air(pressure, 15.0 - 0.0065 * altitude + noise.temperature * second, pressure_altitude(pressure))
+
+
+def range_finder(noise: Px4SensorNoise, state: AirframeState, generator: np.random.Generator) -> float | None:
+    """Distance [m] along the vehicle's own down axis to flat ground, looking past the load.
+
+    None where it measures nothing: beyond `RANGE_M`, or tilted so far that it looks beside the ground.
+    """
+    roll, pitch = state.euler[:2].tolist()
+    upright = math.cos(roll) * math.cos(pitch)
+    height = float(state.position[2]) + RANGE_FINDER_CLEARANCE_M
+    distance = math.inf if upright <= 0.0 else height / upright
+    distance += noise.distance * float(generator.standard_normal())
+    return distance if RANGE_M[0] <= distance <= RANGE_M[1] else None
 
 
 class SatelliteReceiver:

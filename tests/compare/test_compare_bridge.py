@@ -163,3 +163,29 @@ def test_the_next_daemon_is_waited_for_again(ends: Ends) -> None:
     ends.come_to_barrier()
     assert ends.turn() == []
     assert ends.let_go()
+
+
+def test_a_daemon_is_met_at_its_time_and_waited_for() -> None:
+    with bridge(target_system=7, delay_s=DELAY_S, meeting_s=2 * PERIOD_US * 1e-6) as link:
+        ends = Ends(link)
+        ends.command(heartbeat())
+        ends.come_to_barrier()
+        assert ends.let_go()  # too early: it has no turn
+        ends.come_to_barrier()
+        assert ends.turn() == []
+        assert ends.let_go()
+        ends.close()
+
+
+def test_time_stands_still_until_the_daemon_has_come() -> None:
+    with bridge(target_system=7, delay_s=DELAY_S, meeting_s=PERIOD_US * 1e-6) as link:
+        ends = Ends(link)
+        ends.come_to_barrier()
+        ends.physics.settimeout(0.2)
+        with pytest.raises(TimeoutError):
+            ends.physics.recv(64)
+        assert link.time_s == pytest.approx(PERIOD_US * 1e-6)
+        ends.command(heartbeat())
+        assert ends.turn() == []
+        assert ends.let_go()
+        ends.close()

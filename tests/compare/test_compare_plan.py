@@ -8,11 +8,13 @@ from pathlib import Path
 import pytest
 
 from kffa_offboard.compare.course import course, flown_steps
+from kffa_offboard.compare.firmware import PX4, parameter_files, physics_backend
 from kffa_offboard.compare.flight import daemon_document
 from kffa_offboard.compare.plan import AutopilotName, ComparePlan, Conditions, Trial, head_start_s, trials
 from kffa_offboard.compare.simulation import Setup, Simulation
 from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.config import bundled, load
+from sim_vehicle.config import build
 
 
 def plan(autopilot: str = "px4", full: bool = True) -> ComparePlan:
@@ -71,3 +73,14 @@ def test_changes_reach_into_tables_and_replace_arrays() -> None:
 def test_each_seed_takes_another_stretch_of_the_firmwares_own_noise(autopilot: AutopilotName) -> None:
     starts = [head_start_s(autopilot, Conditions(seed=seed)) for seed in range(3)]
     assert starts[1] - starts[0] == starts[2] - starts[1] > 1.0
+
+
+def test_range_finder_rows_have_the_sensor_and_parameters_that_use_it(tmp_path: Path) -> None:
+    rows = {trial.name: trial for trial in trials(plan())}
+    for name in ("native-stock-range", "native-tuned-range", "kffa-ladrc-range", "release-range"):
+        assert parameter_files("px4", rows[name])[-1] == "compare-px4-range.params"
+        assert rows[name].conditions.range_finder
+    assert parameter_files("px4", rows["native-stock"]) == ["px4-hil/px4-rc.params"]
+    assert not any(trial.conditions.range_finder for trial in trials(plan("ardupilot")))
+    backend = physics_backend(PX4, 4581, 0, range_finder=True)
+    assert build({"backend": {"kind": "px4-hil", **backend}}, "test").backend.px4_hil.range_finder

@@ -14,10 +14,12 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_vehicle import airframe
 from sim_vehicle.backends.px4_hil import Px4Vehicle, physics_step_us
+from sim_vehicle.backends.px4_sensors import Px4SensorNoise, range_finder
 from sim_vehicle.config import build
 from sim_vehicle.frames import body_to_frd
 
 HOVER = 98.0 / 246.0
+RANGE_FINDER = {"px4_hil": {"range_finder": True}}
 PARAMETERS = Path(__file__).parents[2] / "configs" / "px4-hil" / "px4-rc.params"
 
 
@@ -60,6 +62,46 @@ def of(messages: list[Any], kind: str) -> list[Any]:
 
 
 # ------------------------------------------------------------------------------------- sensors
+
+
+def test_there_is_a_range_finder_only_if_asked_for() -> None:
+    assert not of(fly(hil(), ScriptedPx4(), 0.5, [0.0] * 4), "DISTANCE_SENSOR")
+    sent = of(fly(hil(backend=RANGE_FINDER), ScriptedPx4(), 2.0, [0.0] * 4), "DISTANCE_SENSOR")
+    assert len(sent) == 41
+    assert {message.orientation for message in sent} == {mavlink.MAV_SENSOR_ROTATION_PITCH_270}
+    distances = [message.current_distance for message in sent]
+    assert np.mean(distances) == pytest.approx(20.0, abs=2.0)
+    assert np.std(distances) == pytest.approx(2.0, abs=1.0)
+
+
+def test_the_other_sensors_of_a_seed_do_not_change_before_the_first_distance() -> None:
+    plain, more = (
+        fly(hil(**sections), ScriptedPx4(), 0.044, [0.0] * 4) for sections in ({}, {"backend": RANGE_FINDER})
+    )
+    assert [m.zacc for m in of(plain, "HIL_SENSOR")] == [m.zacc for m in of(more, "HIL_SENSOR")]
+
+
+@pytest.mark.parametrize(
+    ("roll_deg", "distance_m"), [(0.0, 5.2), (30.0, 6.004), (80.0, 29.95), (85.0, None), (120.0, None)]
+)
+def test_the_range_finder_measures_along_the_vehicles_own_axis(
+    roll_deg: float, distance_m: float | None
+) -> None:
+    rigid = np.zeros(12)
+    rigid[2], rigid[6] = 5.0, math.radians(roll_deg)
+    state = airframe.initial_state(rigid)
+    distance = range_finder(Px4SensorNoise(distance=0.0), state, np.random.default_rng(0))
+    assert distance == (None if distance_m is None else pytest.approx(distance_m, abs=0.01))
+
+
+def test_a_range_finder_that_sees_nothing_says_more_than_it_can_measure() -> None:
+    simulator = hil(backend=RANGE_FINDER)
+    rigid = np.zeros(12)
+    rigid[2] = 60.0
+    simulator.plant.state = airframe.initial_state(rigid)
+    sent = of(fly(simulator, ScriptedPx4(), 0.2, [0.4] * 4), "DISTANCE_SENSOR")
+    assert sent
+    assert all(message.current_distance > message.max_distance for message in sent)
 
 
 def test_sensors_come_every_four_milliseconds_and_slow_ones_every_twenty() -> None:
