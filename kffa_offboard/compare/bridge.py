@@ -8,7 +8,9 @@ one changes the flight. Before the daemon has said a word, and after its end, ph
 `meeting_s` the daemon is met at that time, not earlier, and waited for: each flight with a seed begins at the
 same moment of the noise.
 
-The firmware's own TIMESYNC is left out: it would be taken for a barrier.
+The firmware's own TIMESYNC is left out: it would be taken for a barrier. PX4 takes commands in a thread of
+its own that its lock-step does not wait for: it is asked for a TIMESYNC after them, and time goes on when it
+has answered. ArduCopter takes them in its one loop and could not answer before time goes on.
 """
 
 from __future__ import annotations
@@ -31,6 +33,9 @@ from kffa_offboard.mavlink.transport import Datagram
 from kffa_offboard.trials.metrics import FlightFailed
 
 POLL_S = 0.1
+FIRMWARE_ANSWER_S = 0.5
+"""Wall time that is given to a firmware to say that it has taken its commands."""
+
 ANSWER_LIMIT_S = 30.0
 """Wall time that the daemon may take to answer one barrier."""
 
@@ -48,6 +53,7 @@ class Bridge:
     delay_s : of the link, in simulated time, each way
     firmware : where the firmware is met, if not on a free port
     meeting_s : simulated time at which the daemon is met and waited for; 0 for whenever it comes
+    answers : the firmware answers a TIMESYNC while time stands still
     """
 
     def __init__(
@@ -56,6 +62,7 @@ class Bridge:
         delay_s: float,
         firmware: FirmwareEnd | None = None,
         meeting_s: float = 0.0,
+        answers: bool = False,
     ) -> None:
         self._firmware = firmware or FirmwareEnd()
         self._daemon, self._physics = loopback_socket(), loopback_socket()
@@ -65,6 +72,7 @@ class Bridge:
         )
         self._delay_us = round(delay_s * 1e6)
         self._meeting_us = round(meeting_s * 1e6)
+        self._answers = answers
         self._barrier = Component(Route(own_system=target_system, own_component=1))
         self._parser = FrameParser(keeps_frames_whole=True)
         self._turn = threading.Lock()
@@ -130,13 +138,28 @@ class Bridge:
                 self._meet_daemon()
             if self._daemon_at is not None:
                 self._give_turn(self._daemon_at, slack_us)
+        due = 0
         while self._to_firmware and self._to_firmware[0][0] <= time_us + slack_us:
             self._firmware.send(self._to_firmware.popleft()[1])
+            due += 1
+        if due and self._answers:
+            self._await_firmware()
 
-    def _hear_firmware(self) -> None:
+    def _hear_firmware(self) -> bool:
+        """Take in what it says; True if it answered our TIMESYNC of this barrier."""
+        answered = False
         for message in self._firmware.receive():
-            if message.get_type() != "TIMESYNC":
+            if message.get_type() == "TIMESYNC":
+                answered = answered or self._is_answer(message)
+            else:
                 self._to_daemon.append((self._time_us + self._delay_us, bytes(message.get_msgbuf())))
+        return answered
+
+    def _await_firmware(self) -> None:
+        self._firmware.send(self._barrier.pack(mavlink.MAVLink_timesync_message(0, self._time_us * 1000)))
+        give_up = time.monotonic() + FIRMWARE_ANSWER_S
+        while not self._hear_firmware() and time.monotonic() < give_up:
+            select.select([self._firmware.fileno()], [], [], POLL_S)
 
     def _meet_daemon(self) -> None:
         """The daemon's first words tell where it is; what the firmware said before is stale."""
@@ -172,7 +195,7 @@ class Bridge:
                     self._to_firmware.append((self._time_us + self._delay_us, bytes(message.get_msgbuf())))
 
     def _is_answer(self, message: Message) -> bool:
-        return bool(message.get_type() == "TIMESYNC" and message.ts1 == self._time_us * 1000)
+        return bool(message.get_type() == "TIMESYNC" and message.tc1 and message.ts1 == self._time_us * 1000)
 
 
 @contextlib.contextmanager
@@ -181,9 +204,10 @@ def bridge(
     delay_s: float,
     firmware: FirmwareEnd | None = None,
     meeting_s: float = 0.0,
+    answers: bool = False,
 ) -> Iterator[Bridge]:
     """A bridge that serves in a thread of its own until the block is left."""
-    served = Bridge(target_system, delay_s, firmware, meeting_s)
+    served = Bridge(target_system, delay_s, firmware, meeting_s, answers)
     thread = threading.Thread(target=served.run, name="bridge", daemon=True)
     thread.start()
     try:

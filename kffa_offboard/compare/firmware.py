@@ -144,6 +144,7 @@ class Firmware:
     start : makes its process
     system_id : its MAVLink system id, from its instance
     barrier_period_s : how often firmware, physics and daemon wait for each other
+    answers : it answers a TIMESYNC while its time stands still
     """
 
     physics: str
@@ -151,10 +152,11 @@ class Firmware:
     start: Callable[[Path, Path, int, int, Trial], FirmwareProcess]
     system_id: Callable[[int], int]
     barrier_period_s: float
+    answers: bool = False
 
 
 ARDUCOPTER = Firmware("ardupilot-json-vehicle.toml", "ardupilot_json", arducopter, lambda instance: 1, 0.0025)
-PX4 = Firmware("px4-hil-vehicle.toml", "px4_hil", px4, lambda instance: instance + 1, 0.004)
+PX4 = Firmware("px4-hil-vehicle.toml", "px4_hil", px4, lambda instance: instance + 1, 0.004, True)
 
 
 def physics_backend(

@@ -160,7 +160,12 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
     link = None
     if not trial.native:
         link = stack.enter_context(
-            bridge(name.system_id(instance), trial.conditions.delay_s / 2.0, meeting_s=head_start)
+            bridge(
+                name.system_id(instance),
+                trial.conditions.delay_s / 2.0,
+                meeting_s=head_start,
+                answers=name.answers,
+            )
         )
     link_port = free_port() if link is None else link.firmware_port
     wanted = name.start(binary, directory, link_port, instance, trial)

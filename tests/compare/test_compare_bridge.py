@@ -189,3 +189,28 @@ def test_time_stands_still_until_the_daemon_has_come() -> None:
         assert ends.turn() == []
         assert ends.let_go()
         ends.close()
+
+
+def test_time_goes_on_when_the_firmware_says_that_it_has_its_commands() -> None:
+    with bridge(target_system=7, delay_s=0.0, answers=True) as link:
+        ends = Ends(link)
+        ends.say(heartbeat())  # the bridge learns where the firmware is
+        ends.command(heartbeat())
+        ends.come_to_barrier()
+        ends.turn()
+        assert ends.let_go()
+        ends.come_to_barrier()
+        ends.command(attitude(2))
+        ends.turn()
+        codec = mavlink.MAVLink(file=None, srcSystem=7, srcComponent=1)
+        heard: list[Message] = []
+        ends.firmware.settimeout(5.0)
+        while not heard or heard[-1].get_type() != "TIMESYNC":
+            heard += codec.parse_buffer(ends.firmware.recv(65535)) or []
+        assert [message.get_type() for message in heard] == ["ATTITUDE", "TIMESYNC"]
+        ends.physics.settimeout(0.1)
+        with pytest.raises(TimeoutError):
+            ends.physics.recv(64)
+        ends.say(mavlink.MAVLink_timesync_message(1, heard[-1].ts1))
+        assert ends.let_go()
+        ends.close()
