@@ -23,7 +23,7 @@ def arducopter() -> dict[str, float]:
 
 
 def px4() -> dict[str, float]:
-    """What our start script sets; a mere default ("set-default") may be changed by PX4's own scripts that follow."""
+    """What our start script sets; a mere default ("set-default") is open to PX4's own scripts that follow."""
     lines = (CONFIGS / "px4-hil" / "px4-rc.params").read_text().splitlines()
     pairs = [line.split()[2:] for line in lines if line.startswith("param set ")]
     return {name: float(value) for name, value in pairs}
