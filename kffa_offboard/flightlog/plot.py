@@ -1,7 +1,8 @@
 """The inner signals for plotting programs: live as JSON datagrams, afterwards as a table (CSV).
 
-A number has one name in both, CHANNEL/SIGNAL (``altitude/estimate``), which PlotJuggler and others show as a
-tree, so that a layout made for one opens the other. Units and axes are those of `Signals`.
+A number is CHANNEL/SIGNAL (``altitude/estimate``) in both, which PlotJuggler and others show as a tree.
+PlotJuggler puts a slash before the names of a datagram and nothing before those of a table: there they
+have it already, so that a layout made for one opens the other. Units and axes are those of `Signals`.
 """
 
 from __future__ import annotations
@@ -57,10 +58,11 @@ def columns(table: SignalTable) -> dict[str, NDArray[np.float64]]:
 def csv_lines(table: SignalTable) -> Iterator[str]:
     """The table with a line of names, each line with its end; the first column is `TIME_KEY`, in seconds.
 
+    The other names begin with a slash, as PlotJuggler has them of a `PlotStream`.
     Values have the nine digits that a float32 needs; one that is not known is an empty field.
     """
     found = columns(table)
-    yield ",".join([TIME_KEY, *found]) + "\n"
+    yield ",".join([TIME_KEY, *(f"/{name}" for name in found)]) + "\n"
     for time_us, row in zip(table.time_us.tolist(), np.column_stack(list(found.values())), strict=True):
         fields = [f"{value:.9g}" if math.isfinite(value) else "" for value in row.tolist()]
         yield ",".join([f"{time_us // 1_000_000}.{time_us % 1_000_000:06d}", *fields]) + "\n"
