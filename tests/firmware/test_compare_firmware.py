@@ -18,8 +18,8 @@ pytestmark = pytest.mark.timeout(900)
 class Figures:
     """docs/comparison.md, with room for the centimetre by which two flights differ.
 
-    PX4's estimate of height wanders by more than the vehicle moves on it, so its IAE is held against the
-    estimate's own, not against Hold's.
+    PX4's estimate of height wanders by more than the vehicle moves on it, so IAE and the peak of a release are
+    held against the estimate's own.
     """
 
     peak_m: float
@@ -29,7 +29,7 @@ class Figures:
 
 
 DOCUMENTED = {
-    "px4": Figures(peak_m=0.065, release_peak_m=0.035, peak_ratio=8.0, iae_ratio=None),
+    "px4": Figures(peak_m=0.065, release_peak_m=0.015, peak_ratio=8.0, iae_ratio=None),
     "ardupilot": Figures(peak_m=0.065, release_peak_m=0.035, peak_ratio=3.5, iae_ratio=1.5),
 }
 BESIDE_THE_ESTIMATE_M_S = 0.045
@@ -48,7 +48,7 @@ def test_a_load_moves_it_less_under_kffa_ladrc_than_in_its_own_mode(
     results = json.loads(ended.stdout.splitlines()[-1])
     assert results["firmware_version"] is not None
     stock, ours, release = (trial["load"] for trial in results["trials"])
-    estimate = results["trials"][1]["estimate"]
+    estimate, released = (trial["estimate"] for trial in results["trials"][1:])
     documented = DOCUMENTED[autopilot]
     for event in ("pickup", "drop"):
         assert ours[event]["peak_m"] < documented.peak_m
@@ -57,5 +57,6 @@ def test_a_load_moves_it_less_under_kffa_ladrc_than_in_its_own_mode(
             assert ours[event]["iae_m_s"] < estimate[event]["iae_m_s"] + BESIDE_THE_ESTIMATE_M_S
         else:
             assert stock[event]["iae_m_s"] > documented.iae_ratio * ours[event]["iae_m_s"]
-    assert release["drop"]["peak_m"] < documented.release_peak_m
+    wander_m = released["drop"]["peak_m"] if documented.iae_ratio is None else 0.0
+    assert release["drop"]["peak_m"] < wander_m + documented.release_peak_m
     assert ours["level_rms_deg"] < 0.3
