@@ -18,8 +18,8 @@ pytestmark = pytest.mark.timeout(900)
 class Figures:
     """docs/comparison.md, with room for the centimetre by which two flights differ.
 
-    PX4's estimate of height wanders by more than the vehicle moves on it, so IAE and the peak of a release are
-    held against the estimate's own.
+    PX4's estimate of height wanders by more than the vehicle moves on it, so IAE and the peak of a release
+    are held against the estimate's own.
     """
 
     peak_m: float
