@@ -18,22 +18,24 @@ pytestmark = pytest.mark.timeout(900)
 class Figures:
     """docs/comparison.md, with room for the centimetre by which two flights differ.
 
-    PX4's estimate of height wanders by more than the vehicle moves on it, so IAE and the peak of a release
-    are held against the estimate's own.
+    PX4 with its present gains misses the last two at seed 0 (docs/comparison.md): its estimate wanders.
     """
 
     peak_m: float
-    release_peak_m: float
     peak_ratio: float
-    iae_ratio: float | None
+    iae_ratio: float
+    release_peak_m: float
 
 
 DOCUMENTED = {
-    "px4": Figures(peak_m=0.065, release_peak_m=0.015, peak_ratio=8.0, iae_ratio=None),
-    "ardupilot": Figures(peak_m=0.065, release_peak_m=0.035, peak_ratio=3.5, iae_ratio=1.5),
+    "px4": Figures(peak_m=0.065, peak_ratio=8.0, iae_ratio=15.0, release_peak_m=0.035),
+    "ardupilot": Figures(peak_m=0.065, peak_ratio=3.5, iae_ratio=1.5, release_peak_m=0.035),
 }
 BESIDE_THE_ESTIMATE_M_S = 0.045
 """By so much at most the vehicle's IAE is more than that of the estimate's error; 0.035 was seen."""
+
+BESIDE_THE_ESTIMATE_M = 0.015
+"""The same of the peak after a release."""
 
 
 @pytest.mark.parametrize("autopilot", DOCUMENTED)
@@ -53,10 +55,9 @@ def test_a_load_moves_it_less_under_kffa_ladrc_than_in_its_own_mode(
     for event in ("pickup", "drop"):
         assert ours[event]["peak_m"] < documented.peak_m
         assert stock[event]["peak_m"] > documented.peak_ratio * ours[event]["peak_m"]
-        if documented.iae_ratio is None:
-            assert ours[event]["iae_m_s"] < estimate[event]["iae_m_s"] + BESIDE_THE_ESTIMATE_M_S
-        else:
-            assert stock[event]["iae_m_s"] > documented.iae_ratio * ours[event]["iae_m_s"]
-    wander_m = released["drop"]["peak_m"] if documented.iae_ratio is None else 0.0
-    assert release["drop"]["peak_m"] < wander_m + documented.release_peak_m
+        assert ours[event]["iae_m_s"] < estimate[event]["iae_m_s"] + BESIDE_THE_ESTIMATE_M_S
+    assert release["drop"]["peak_m"] < released["drop"]["peak_m"] + BESIDE_THE_ESTIMATE_M
     assert ours["level_rms_deg"] < 0.3
+    for event in ("pickup", "drop"):
+        assert stock[event]["iae_m_s"] > documented.iae_ratio * ours[event]["iae_m_s"]
+    assert release["drop"]["peak_m"] < documented.release_peak_m
