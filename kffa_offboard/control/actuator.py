@@ -66,31 +66,26 @@ def send(state: ActuatorState, command: Array) -> ActuatorState:
     return ActuatorState((*ages, 0.0), np.concatenate((kept, command[None])), state.lagged)
 
 
-@remember
-def _window(
-    parameters: ActuatorParameters, ages: tuple[float, ...], ahead: Array, dt: float | Array, axes: int
-) -> tuple[Array, Array, Array]:
-    """What the `dt` that ends `ahead` s after the moment of `ages` makes of queued commands and lag.
+class Window(NamedTuple):
+    """A time, as commands under way see it; each ``(4[, N])`` or broadcast to it.
 
-    Returns
-    -------
-    shares : (K, 4[, N]), how long each of the K commands acted, over `dt`
+    Attributes
+    ----------
+    delay : s, of the actuator, seen from the end of that time
+    span : s, how long it is
     held : share of the lag's first transient in the mean of its output
     decay : the same at the end
     """
-    delay, span, held, decay = _lag(parameters, ahead, dt, axes)
-    # A command acted from (age - delay) ago until the next one took over.
-    age = np.array(ages).reshape(-1, *(1,) * axes)
-    shares = np.minimum(np.maximum(age - delay, 0.0), span)
-    shares[:-1] -= shares[1:]
-    return shares / span, held, decay
+
+    delay: Array
+    span: Array
+    held: Array
+    decay: Array
 
 
 @remember
-def _lag(
-    parameters: ActuatorParameters, ahead: Array, dt: float | Array, axes: int
-) -> tuple[Array, Array, Array, Array]:
-    """Delay seen from `ahead` s later, `dt`, and `held` and `decay` of `_window`, all for so many axes."""
+def window(parameters: ActuatorParameters, ahead: Array, dt: float | Array, axes: int) -> Window:
+    """The `dt` that ends `ahead` s from the moment of the ages, for commands of so many axes."""
     like = np.empty((1,) * axes)
     delay, lag = column(parameters.delay, like) - column(ahead, like), column(parameters.lag, like)
     span = column(dt, like)
@@ -98,33 +93,60 @@ def _lag(
     safe_lag = np.where(lagging, lag, 1.0)
     decay = np.where(lagging, np.exp(-span / safe_lag), 0.0)
     held = np.where(lagging, safe_lag / span * (1.0 - decay), 0.0)
-    return delay, span, held, decay
+    return Window(delay, span, held, decay)
 
 
-def _mean_acting(state: ActuatorState, window: tuple[Array, Array, Array]) -> tuple[Array, Array]:
-    """Mean of delayed, lagged command over a window, and the lag's end.
+def shares(ages: tuple[float, ...], delay: Array, span: Array) -> Array:
+    """How long each of the K commands acted in a `Window`, over its span ``(K, 4[, N])``.
 
-    The mean of the delayed piecewise-constant command is exact; the lag is applied to that mean as to
-    a constant, exactly.
+    A command acted from (age - delay) ago until the next one took over.
     """
-    shares, held, decay = window
-    mean = np.add.reduce(shares * state.commands)
-    transient = state.lagged - mean
-    return mean + held * transient, mean + decay * transient
+    age = np.array(ages).reshape(-1, *(1,) * delay.ndim)
+    parts: Array = np.minimum(np.maximum(age - delay, 0.0), span)
+    parts[:-1] -= parts[1:]
+    parts /= span
+    return parts
 
 
-_NOW = np.zeros(())
+@remember
+def _known_shares(ages: tuple[float, ...], delay: Array, span: Array) -> tuple[Array]:
+    return (shares(ages, delay, span),)
+
+
+def average(shares: Array, commands: Array) -> Array:
+    """Mean of the delayed, piecewise constant command ``(4[, N])``, from the shares of a window; exact."""
+    mean: Array = np.add.reduce(shares * commands)
+    return mean
+
+
+def lagging(average: Array, held: Array, decay: Array, lagged: Array) -> tuple[Array, Array]:
+    """Mean of the lag's output over a window, and its end.
+
+    The lag is applied to the window's mean command as to a constant, exactly.
+    """
+    transient = lagged - average
+    return average + held * transient, average + decay * transient
+
+
+NOW = np.zeros(())
 
 
 def step(parameters: ActuatorParameters, state: ActuatorState, dt: float) -> tuple[ActuatorState, Array]:
     """Advance by `dt` s and return the mean command ``(4[, N])`` that acted in that time."""
-    ages = tuple([age + dt for age in state.ages])
-    averaged, lagged = _mean_acting(state, _window(parameters, ages, _NOW, dt, state.lagged.ndim))
-    over = _over(parameters, ages)
-    return ActuatorState((np.inf, *ages[over + 1 :]), state.commands[over:], lagged), averaged
+    ages = aged(state.ages, dt)
+    delay, span, held, decay = window(parameters, NOW, dt, state.lagged.ndim)
+    (parts,) = _known_shares(ages, delay, span)
+    acted, lagged = lagging(average(parts, state.commands), held, decay, state.lagged)
+    over = count_over(parameters, ages)
+    return ActuatorState(kept(ages, over), state.commands[over:], lagged), acted
 
 
-def _over(parameters: ActuatorParameters, ages: tuple[float, ...]) -> int:
+def aged(ages: tuple[float, ...], dt: float) -> tuple[float, ...]:
+    """The ages `dt` s later."""
+    return tuple([age + dt for age in ages])
+
+
+def count_over(parameters: ActuatorParameters, ages: tuple[float, ...]) -> int:
     """How many of the oldest commands act no more."""
     over = 0
     while over + 1 < len(ages) and ages[over + 1] >= parameters.longest_delay:
@@ -132,19 +154,16 @@ def _over(parameters: ActuatorParameters, ages: tuple[float, ...]) -> int:
     return over
 
 
+def kept(ages: tuple[float, ...], over: int) -> tuple[float, ...]:
+    """The ages of what is left; the oldest counts as having acted for ever."""
+    return (np.inf, *ages[over + 1 :])
+
+
 def forecast(parameters: ActuatorParameters, state: ActuatorState, horizon: Array) -> Array:
     """Mean command ``(4[, N])`` that will act during the coming `horizon` s if no other is sent.
 
     `horizon` is per channel and must be more than 0.
     """
-    window = _window(parameters, state.ages, horizon, horizon, state.lagged.ndim)
-    return _mean_acting(state, window)[0]
-
-
-def prepare(parameters: ActuatorParameters, state: ActuatorState, dt: float, horizon: Array | None) -> None:
-    """Work out what `step` over `dt`, and then `forecast` over `horizon`, will look up."""
-    ages = tuple([age + dt for age in state.ages])
-    _window(parameters, ages, _NOW, dt, state.lagged.ndim)
-    if horizon is not None:
-        kept = (np.inf, *ages[_over(parameters, ages) + 1 :])
-        _window(parameters, kept, horizon, horizon, state.lagged.ndim)
+    delay, span, held, decay = window(parameters, horizon, horizon, state.lagged.ndim)
+    (parts,) = _known_shares(state.ages, delay, span)
+    return lagging(average(parts, state.commands), held, decay, state.lagged)[0]

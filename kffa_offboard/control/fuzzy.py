@@ -21,6 +21,7 @@ import numpy as np
 
 from kffa_offboard.control import Array, column
 from kffa_offboard.control.memory import remember
+from kffa_offboard.control.tracing import take_columns
 
 UNIVERSE = 4.0  # the basic domain of e, its rate and the correction is -4..4 (paper, below eq 42)
 SETS = 7  # NB NM NS ZO PS PM PB, centres evenly spaced over the universe
@@ -89,7 +90,7 @@ def infer(table: Array, e: Array, ec: Array) -> Array:
     table : (7, 7) rule consequents, rows e, columns its rate
     e, ec : (4[, N]) normalised error and error rate
     """
-    return _interpolate(table, np.array([e, ec]) / _SPACING)
+    return _interpolate(table, np.stack([e, ec]) / _SPACING)
 
 
 _SPACING = 2.0 * UNIVERSE / (SETS - 1)
@@ -111,8 +112,9 @@ def _interpolate(table: Array, place: Array) -> Array:
     cell = np.minimum(place.astype(np.intp), SETS - 2)
     down, along = place - cell
     row, across = cell
-    corner, per_row, per_column, twist = _patches(table)[0].take(SETS * row + across, axis=1)
-    return np.asarray(corner + along * per_column + down * (per_row + along * twist))
+    corner, per_row, per_column, twist = take_columns(_patches(table)[0], SETS * row + across)
+    value: Array = corner + along * per_column + down * (per_row + along * twist)
+    return value
 
 
 @remember
@@ -128,5 +130,5 @@ def _scaling(parameters: FuzzyParameters, axes: int) -> tuple[Array, Array]:
 def bandwidth_correction(parameters: FuzzyParameters, error: Array, error_rate: Array) -> Array:
     """Delta omega_c [rad/s] for error e = y - r and its rate, each ``(4[, N])`` in output units."""
     to_place, to_bandwidth = _scaling(parameters, error.ndim)
-    place = np.array([error, error_rate]) * to_place
-    return np.asarray(_interpolate(TABLES[parameters.rules], place) * to_bandwidth)
+    place = np.stack([error, error_rate]) * to_place
+    return _interpolate(TABLES[parameters.rules], place) * to_bandwidth

@@ -1,7 +1,7 @@
 """Kalman filter in front of the observer (paper eq 43-48), on `filterpy.kalman.KalmanFilter`.
 
-One filter carries the stacked channels (block-diagonal model); the columns of its state are the
-batch of flights, which share one covariance. Only channels with a fresh measurement are
+One filter carries the stacked channels (block-diagonal model) and gives covariance and gains, which
+depend on times alone; the flights of a batch share them. Only channels with a fresh measurement are
 corrected, the others are predicted.
 
 Differs from the paper in: read literally (two states per channel, Q = 0.03 I, R = 0.001) the gain is
@@ -23,9 +23,9 @@ import numpy as np
 from filterpy.kalman import KalmanFilter
 from numpy.typing import NDArray
 
-from kffa_offboard.control import Array, BoolArray, column
+from kffa_offboard.control import Array, BoolArray
 from kffa_offboard.control.memory import remember
-from kffa_offboard.control.observer import PlantModel, transition
+from kffa_offboard.control.observer import Discrete, PlantModel, discretised, moved, transition
 
 LITERAL_PROCESS_VARIANCE = 0.03  # the paper's Q, per step (section III-C)
 MEASUREMENT_VARIANCE = 0.001  # the paper's R (section III-C)
@@ -64,17 +64,36 @@ class KalmanParameters:
 
 
 class KalmanState(NamedTuple):
-    """Mean ``(4 * states, N)`` (channel by channel; N = 1 for one vehicle) and covariance of the filter.
+    """Mean and covariance of the filter.
 
     Attributes
     ----------
+    estimate, rate, disturbance : (4[, N])
+        The mean; the literal filter has no disturbance, and zeros here.
+    covariance : (4 * states, 4 * states)
+        Channel by channel.
     period : s
         Step that covariance and gain are worked out for; 0 before the first one.
     """
 
-    mean: Array
+    estimate: Array
+    rate: Array
+    disturbance: Array
     covariance: Array
     period: float = 0.0
+
+
+class KalmanGains(NamedTuple):
+    """What an innovation of the output, and one of its rate, change.
+
+    Attributes
+    ----------
+    output, rate : (3, 4[, 1])
+        Of estimate, rate and disturbance; zero where the channel has no fresh measurement.
+    """
+
+    output: Array
+    rate: Array
 
 
 @cache
@@ -100,45 +119,32 @@ def initial_state(
     rate_std : float
         Standard deviation of the unknown first rate, output units/s.
     """
-    channels, n = len(measurement), parameters.states
-    mean = np.zeros((channels, n, measurement.size // channels))
-    mean[:, 0] = measurement.reshape(channels, -1)
-    variances = np.zeros((channels, n))
+    zero = np.zeros_like(measurement)
+    variances = np.zeros((len(measurement), parameters.states))
     variances[:, 0] = parameters.measurement_variance
     variances[:, 1] = rate_std**2
-    if n == 3:
-        mean[:, 2] = disturbance.reshape(channels, -1)
+    if parameters.states == 3:
         variances[:, 2] = parameters.disturbance_intensity
-    return KalmanState(mean.reshape(channels * n, -1), np.diag(variances.reshape(-1)))
+    balance = disturbance if parameters.states == 3 else zero
+    return KalmanState(measurement, zero, balance, np.diag(variances.reshape(-1)))
 
 
 def with_disturbance_step(parameters: KalmanParameters, state: KalmanState, step: Array) -> KalmanState:
     """The disturbance is known to have changed by `step` ``(4[, N])``; the literal filter has none."""
     if parameters.states != 3:
         return state
-    mean = state.mean.copy()
-    mean[2::3] += step.reshape(len(step), -1)
-    return state._replace(mean=mean)
+    return state._replace(disturbance=state.disturbance + step)
 
 
 @remember
-def _model_matrices(
-    parameters: KalmanParameters, model: PlantModel, dt: float
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Transition F, input matrix B (for accelerations) and process noise Q over `dt`, block diagonal.
-
-    And the model's b0 and stiffness as columns ``(4, 1)`` or ``(4, N)``.
-    """
+def _model_matrices(parameters: KalmanParameters, model: PlantModel, dt: float) -> tuple[Array, Array]:
+    """Transition F and process noise Q over `dt`, block diagonal."""
     channels, n = len(parameters.measurement_variance), parameters.states
     e, p, q = transition(np.asarray(model.damping, dtype=float), dt)
-    b0, stiffness = (column(value, np.empty((1, 1))) for value in (model.b0, model.stiffness))
     base = n * np.arange(channels)
     f = np.eye(n * channels)
     f[base, base + 1] = p
     f[base + 1, base + 1] = e
-    b = np.zeros((n * channels, channels))
-    b[base, np.arange(channels)] = q
-    b[base + 1, np.arange(channels)] = p
     noise = np.zeros_like(f)
     if n == 2:
         variance = (
@@ -147,7 +153,7 @@ def _model_matrices(
             else parameters.process_variance
         )
         noise[base, base] = noise[base + 1, base + 1] = variance
-        return f, b, noise, b0, stiffness
+        return f, noise
     f[base, base + 2] = q
     f[base + 1, base + 2] = p
     # Integral of (t^2/2, t, 1)(t^2/2, t, 1)^T over dt: the random walk enters through the disturbance.
@@ -157,7 +163,7 @@ def _model_matrices(
     for i in range(3):
         for j in range(3):
             noise[base + i, base + j] = parameters.disturbance_intensity * powers[i, j]
-    return f, b, noise, b0, stiffness
+    return f, noise
 
 
 @remember
@@ -183,21 +189,33 @@ def _gain(
     fresh: BoolArray,
     with_rate: bool,
     dt: float,
-) -> tuple[Array, Array, NDArray[np.intp], Array]:
-    """Covariance after prediction and correction (eq 45, 46, 48), the gain, channels and H of `_selection`.
+) -> tuple[Array, Array, Array]:
+    """Covariance after prediction and correction (eq 45, 46, 48), and the gains of `KalmanGains` ``(3, 4)``.
 
     Measurements do not enter: with a steady telemetry all of it soon repeats itself, to the last bit.
     """
-    f, _, q, _, _ = _model_matrices(parameters, model, dt)
+    channels, n = fresh.size, parameters.states
+    f, q = _model_matrices(parameters, model, dt)
     index, h, r = _selection(parameters, fresh, with_rate)
     kalman = _filter(parameters, covariance)
     kalman.predict(F=f, Q=q)
+    output, rate = np.zeros((3, channels)), np.zeros((3, channels))
     if index.size:
         kalman.update(0.0, R=r, H=h)
-    return np.asarray(kalman.P), np.asarray(kalman.K), index, h
+        gain = np.asarray(kalman.K).reshape(channels, n, -1)
+        # The model is block diagonal: a channel's measurement corrects that channel alone.
+        output[:n, index] = gain[index, :, np.arange(index.size)].T
+        if with_rate:
+            rate[:n, index] = gain[index, :, index.size + np.arange(index.size)].T
+    return np.asarray(kalman.P), output, rate
 
 
-def prepare(
+def _period(parameters: KalmanParameters, state: KalmanState, dt: float) -> float:
+    """The period still, if `dt` is near it; else `dt` is the new one."""
+    return state.period if abs(dt - state.period) <= parameters.period_tolerance * state.period else dt
+
+
+def gains(
     parameters: KalmanParameters,
     model: PlantModel,
     state: KalmanState,
@@ -205,16 +223,43 @@ def prepare(
     dt: float,
     *,
     with_rate: bool,
-) -> None:
-    """Work out the gain of a `step` from `state` over `dt` with such measurements, before they come."""
+) -> tuple[KalmanGains, Array, float]:
+    """Look up what depends on times alone: gains (to go with ``state.estimate``), new covariance, and period.
+
+    `fresh` and `with_rate` as in `step`.
+    """
     pattern = fresh.reshape(len(fresh), -1)[:, 0]
     fused = with_rate and parameters.rate_variance is not None
-    _gain(parameters, model, state.covariance, pattern, fused, _period(parameters, state, dt))
+    period = _period(parameters, state, dt)
+    covariance, output, rate = _gain(parameters, model, state.covariance, pattern, fused, period)
+    trailing = (1,) * (state.estimate.ndim - 1)
+    shaped = KalmanGains(output.reshape(*output.shape, *trailing), rate.reshape(*rate.shape, *trailing))
+    return shaped, covariance, period
 
 
-def _period(parameters: KalmanParameters, state: KalmanState, dt: float) -> float:
-    """The period still, if `dt` is near it; else `dt` is the new one."""
-    return state.period if abs(dt - state.period) <= parameters.period_tolerance * state.period else dt
+def advance(
+    gains: KalmanGains,
+    discrete: Discrete,
+    state: KalmanState,
+    command: Array,
+    measurement: Array,
+    fresh: BoolArray,
+    measured_rate: Array | None,
+) -> KalmanState:
+    """Mean after prediction and correction (eq 44, 47); the covariance is left as it is."""
+    estimate, rate = moved(discrete, state.estimate, state.rate, state.disturbance, command)
+    innovation = np.where(fresh, measurement - estimate, 0.0)
+    change = gains.output * innovation
+    if measured_rate is not None:
+        change = change + gains.rate * np.where(fresh, measured_rate - rate, 0.0)
+    to_estimate, to_rate, to_disturbance = change
+    return KalmanState(
+        estimate + to_estimate,
+        rate + to_rate,
+        state.disturbance + to_disturbance,
+        state.covariance,
+        state.period,
+    )
 
 
 def step(
@@ -246,19 +291,8 @@ def step(
     state, filtered
         The new state and the filtered output ``(4[, N])``.
     """
-    channels, n = len(measurement), parameters.states
     rates = None if parameters.rate_variance is None else measured_rate
-    pattern = fresh.reshape(channels, -1)[:, 0]
-    period = _period(parameters, state, dt)
-    covariance, gain, index, h = _gain(
-        parameters, model, state.covariance, pattern, rates is not None, period
-    )
-    f, b, _, b0, stiffness = _model_matrices(parameters, model, dt)
-    acceleration = b0 * command.reshape(channels, -1) - stiffness * state.mean[::n]
-    mean = np.dot(f, state.mean) + np.dot(b, acceleration)
-    if index.size:
-        values = measurement.reshape(channels, -1)[index]
-        if rates is not None:
-            values = np.concatenate([values, rates.reshape(channels, -1)[index]])
-        mean = mean + np.dot(gain, values - np.dot(h, mean))
-    return KalmanState(mean, covariance, period), mean[::n].reshape(measurement.shape)
+    shaped, covariance, period = gains(parameters, model, state, fresh, dt, with_rate=rates is not None)
+    discrete = discretised(model, dt, state.estimate.ndim)
+    state = advance(shaped, discrete, state, command, measurement, fresh, rates)
+    return state._replace(covariance=covariance, period=period), state.estimate

@@ -10,8 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from kffa_offboard.control import Array, column
 from kffa_offboard.control.observer import ObserverState, PlantModel
 
@@ -44,7 +42,7 @@ def gains(parameters: LawParameters, omega_c: Array) -> tuple[Array, Array]:
     """Kp [1/s^2] and kd [1/s] for the momentary bandwidth `omega_c` ``(4[, N])``."""
     if parameters.kp is not None and parameters.kd is not None:
         return column(parameters.kp, omega_c), column(parameters.kd, omega_c)
-    return omega_c**2, 2.0 * omega_c
+    return omega_c * omega_c, 2.0 * omega_c
 
 
 def command(
@@ -69,7 +67,8 @@ def command(
     position, rate, acceleration = reference
     u0 = kp * (position - state.estimate) + kd * (rate - state.rate) + acceleration
     known = column(model.damping, position) * state.rate + column(model.stiffness, position) * state.estimate
-    return np.asarray((u0 + known - state.disturbance) / column(model.b0, position))
+    wanted: Array = (u0 + known - state.disturbance) / column(model.b0, position)
+    return wanted
 
 
 def bandwidth_for_settling(settling_time: float, percent: float = 2.0) -> float:

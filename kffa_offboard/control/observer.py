@@ -145,32 +145,49 @@ def correction_gains(
     return 1.0 - remainder, l2, l3
 
 
+class Discrete(NamedTuple):
+    """The plant over one step: `transition`, b0 and stiffness, shaped to go with arrays of so many axes."""
+
+    e: Array
+    p: Array
+    q: Array
+    b0: Array
+    stiffness: Array
+
+
 @remember
-def _discrete(model: PlantModel, dt: float | Array, axes: int) -> tuple[Array, Array, Array, Array, Array]:
-    """`transition` over `dt`, b0 and stiffness, to go with arrays of so many axes."""
+def discretised(model: PlantModel, dt: float | Array, axes: int) -> Discrete:
+    """`model` over `dt`, which is one number or one for each channel, for arrays of so many axes."""
     like = np.empty((1,) * axes)
     e, p, q = transition(column(model.damping, like), column(dt, like))
-    return e, p, q, column(model.b0, like), column(model.stiffness, like)
+    return Discrete(e, p, q, column(model.b0, like), column(model.stiffness, like))
 
 
 @remember
-def _gains(parameters: ObserverParameters, model: PlantModel, elapsed: Array) -> tuple[Array, Array, Array]:
+def gains(parameters: ObserverParameters, model: PlantModel, elapsed: Array) -> tuple[Array, Array, Array]:
+    """`correction_gains` after `elapsed` s ``(4[, N])`` without a correction."""
     return correction_gains(parameters, column(model.damping, elapsed), elapsed)
 
 
+def moved(
+    discrete: Discrete, estimate: Array, rate: Array, disturbance: Array, command: Array
+) -> tuple[Array, Array]:
+    """Output and rate after the step with the command that was acting (eq 19, exact), all ``(4[, N])``."""
+    acceleration = disturbance + discrete.b0 * command - discrete.stiffness * estimate
+    return (
+        estimate + discrete.p * rate + discrete.q * acceleration,
+        discrete.e * rate + discrete.p * acceleration,
+    )
+
+
 def predict(model: PlantModel, state: ObserverState, command: Array, dt: float | Array) -> ObserverState:
-    """Advance the estimates by `dt` s with the command that was acting (paper eq 19, exact).
+    """Advance the estimates by `dt` s with the command that was acting.
 
     `dt` is one number, or one for each channel ``(4[, N])``.
     """
-    e, p, q, b0, stiffness = _discrete(model, dt, state.estimate.ndim)
-    acceleration = state.disturbance + b0 * command - stiffness * state.estimate
-    return ObserverState(
-        estimate=state.estimate + p * state.rate + q * acceleration,
-        rate=e * state.rate + p * acceleration,
-        disturbance=state.disturbance,
-        elapsed=state.elapsed + dt,
-    )
+    discrete = discretised(model, dt, state.estimate.ndim)
+    estimate, rate = moved(discrete, state.estimate, state.rate, state.disturbance, command)
+    return ObserverState(estimate, rate, state.disturbance, state.elapsed + dt)
 
 
 def correct(
@@ -189,11 +206,19 @@ def correct(
         fresh are not read.
     fresh : (4[, N]) of bool
     """
-    l1, l2, l3 = _gains(parameters, model, state.elapsed)
+    state = corrected(gains(parameters, model, state.elapsed), state, measurement, fresh)
+    return state._replace(elapsed=np.where(fresh, 0.0, state.elapsed))
+
+
+def corrected(
+    gains: tuple[Array, Array, Array], state: ObserverState, measurement: Array, fresh: BoolArray
+) -> ObserverState:
+    """`correct` with given gains; the age of the last correction is left as it is."""
+    l1, l2, l3 = gains
     innovation = np.where(fresh, measurement - state.estimate, 0.0)
     return ObserverState(
         estimate=state.estimate + l1 * innovation,
         rate=state.rate + l2 * innovation,
         disturbance=state.disturbance + l3 * innovation,
-        elapsed=np.where(fresh, 0.0, state.elapsed),
+        elapsed=state.elapsed,
     )

@@ -34,7 +34,7 @@ def retuned(
     observed = state.observer._replace(disturbance=state.observer.disturbance + change)
     filtered = state.kalman
     if after.kalman is not None and filtered is not None and after.kalman.states == 3:
-        filtered = _with_disturbance(filtered, change)
+        filtered = kalman.with_disturbance_step(after.kalman, filtered, change)
     state = state._replace(observer=observed, kalman=filtered)
     return _rebalanced(before, after, state)
 
@@ -46,14 +46,6 @@ def _explained(parameters: ControllerParameters, state: ControllerState) -> Arra
     explained = column(model.b0, acting) * acting
     explained = explained - column(model.damping, acting) * rate
     return np.asarray(explained - column(model.stiffness, acting) * estimate)
-
-
-def _with_disturbance(state: kalman.KalmanState, change: Array) -> kalman.KalmanState:
-    """Add `change` to the disturbances of the extended filter."""
-    channels = len(change)
-    mean = state.mean.reshape(channels, 3, -1).copy()
-    mean[:, 2] += change.reshape(channels, -1)
-    return state._replace(mean=mean.reshape(state.mean.shape))
 
 
 def _rebalanced(

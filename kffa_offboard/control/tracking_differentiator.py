@@ -63,7 +63,8 @@ def fhan(x1: Array, x2: Array, r: Array, h0: float) -> Array:
     size = np.abs(y)
     a1 = np.sqrt(d * (d + 8.0 * size))
     a = a0 + np.where(size <= d, y, np.copysign(0.5 * (a1 - d), y))
-    return np.asarray(r * np.minimum(np.maximum(a / -d, -1.0), 1.0))
+    share: Array = np.minimum(np.maximum(a / -d, -1.0), 1.0)
+    return r * share
 
 
 def step(
@@ -81,9 +82,24 @@ def step(
     dt : float, s
         Time since the last step, more than 0.
     """
+    parts = parts_of(parameters, dt)
+    return steps(parameters, state, reference, dt / parts, parts)
+
+
+def parts_of(parameters: TrackingDifferentiatorParameters, dt: float) -> int:
+    """Into how many equal parts a step of `dt` s is divided."""
+    return max(1, ceil(2.0 * dt / parameters.filter_time - 1e-9))
+
+
+def steps(
+    parameters: TrackingDifferentiatorParameters,
+    state: TrackingDifferentiatorState,
+    reference: Array,
+    h: float | Array,
+    parts: int,
+) -> TrackingDifferentiatorState:
+    """So many steps of `h` s each."""
     acceleration_limit = column(parameters.acceleration, reference)
-    parts = max(1, ceil(2.0 * dt / parameters.filter_time - 1e-9))
-    h = dt / parts
     position, rate, acceleration = state.position, state.rate, state.acceleration
     for _ in range(parts):
         acceleration = fhan(position - reference, rate, acceleration_limit, parameters.filter_time)

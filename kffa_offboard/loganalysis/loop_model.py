@@ -166,7 +166,7 @@ class LinearController:
         return replace(
             self,
             parameters=replace(self.parameters, kalman=filtering),
-            settled=self.settled._replace(kalman=kalman.KalmanState(state.mean, covariance)),
+            settled=self.settled._replace(kalman=state._replace(covariance=covariance)),
         )
 
     def system(self, channel: int) -> LinearSystem:
@@ -178,9 +178,7 @@ class LinearController:
         unit = np.zeros((size + 2, 4, size + 2))
         unit[np.arange(size + 2), channel, np.arange(size + 2)] = 1.0
         zero = np.zeros((4, size + 2))
-        mean = np.zeros((4, max(filters, 1), size + 2))
-        for k in range(filters):
-            mean[:, k] = unit[4 + queue + k]
+        mean = [unit[4 + queue + k] if k < filters else zero for k in range(3)]
         state = controllers.ControllerState(
             differentiator=td.TrackingDifferentiatorState(zero, zero, zero),
             observer=observer.ObserverState(unit[0], unit[1], unit[2], zero),
@@ -188,7 +186,7 @@ class LinearController:
             pid=before.pid._replace(measurement=zero, rate=zero, integral=zero),
             kalman=None
             if before.kalman is None
-            else kalman.KalmanState(mean.reshape(4 * filters, -1), before.kalman.covariance),
+            else kalman.KalmanState(mean[0], mean[1], mean[2], before.kalman.covariance),
         )
         fresh = np.ones((4, size + 2), dtype=bool)
         inputs = controllers.ControllerInput(zero, unit[size], fresh, unit[size + 1])
@@ -196,7 +194,7 @@ class LinearController:
         rows = [after.observer.estimate, after.observer.rate, after.observer.disturbance]
         rows += [after.actuator.lagged, *after.actuator.commands]
         if after.kalman is not None:
-            rows += list(after.kalman.mean.reshape(4, filters, -1).transpose(1, 0, 2))
+            rows += [after.kalman.estimate, after.kalman.rate, after.kalman.disturbance][:filters]
         table = np.stack([row[channel] for row in rows])
         command = output.command[channel][None]
         return LinearSystem(

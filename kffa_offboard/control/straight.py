@@ -1,0 +1,278 @@
+"""One step of one vehicle: `composition.advance`, written out in plain floats (`tracing`).
+
+Only what steps have in common is traced, once for each set of parameters: a LADRC, without an expected
+step of the disturbance, whose reference moves in one part. Everything else is left to the array code. The
+numbers are the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from itertools import count
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from kffa_offboard.control import Array, actuator, observer
+from kffa_offboard.control.blocks import (
+    ControllerInput,
+    ControllerOutput,
+    ControllerParameters,
+    ControllerState,
+    initial_state,
+)
+from kffa_offboard.control.composition import Coefficients, advance, coefficients
+from kffa_offboard.control.kalman import KalmanGains, KalmanState
+from kffa_offboard.control.tracing import Tape, Traced, compiled
+from kffa_offboard.control.tracking_differentiator import TrackingDifferentiatorState
+
+Function: TypeAlias = Callable[..., tuple[float, ...]]
+
+LAWS = 32
+"""Sets of parameters whose functions are kept."""
+
+REMEMBERED = 256
+"""Coefficients that are kept for each of them; beyond it the oldest is forgotten."""
+
+
+_ANY_STEP = 0.01  # s; the function is the same for all
+
+
+class Found(NamedTuple):
+    """Coefficients, and the same as `Law.function` takes them.
+
+    Attributes
+    ----------
+    covariance : the Kalman filter's before the step; None without one
+    numbers : flat lists, in the order of `_coefficient_arrays`
+    """
+
+    covariance: Array | None
+    coefficients: Coefficients
+    numbers: list[list[float]]
+
+
+class Law:
+    """The step of one set of parameters, and what it has looked up.
+
+    Attributes
+    ----------
+    function : of state, inputs, means and coefficients, each a list of numbers for each array, in this order
+    """
+
+    def __init__(self, parameters: ControllerParameters, with_rate: bool) -> None:
+        self.function = _traced(parameters, with_rate)
+        self._parameters = parameters
+        self._found: dict[tuple[object, ...], Found] = {}
+        self._shares: dict[tuple[object, ...], tuple[Array, int, tuple[float, ...]]] = {}
+
+    def find(self, state: ControllerState, inputs: ControllerInput, dt: float) -> Found:
+        """Look up the coefficients of a step, or work them out."""
+        filtered = state.kalman
+        covariance = None if filtered is None else filtered.covariance
+        key = (
+            dt,
+            inputs.fresh.tobytes(),
+            state.observer.elapsed.tobytes(),
+            0.0 if filtered is None else filtered.period,
+            id(covariance),
+        )
+        known = self._found.get(key)
+        if known is None or known.covariance is not covariance:
+            found = coefficients(self._parameters, state, inputs, dt)
+            numbers = [array.reshape(-1).tolist() for array in _coefficient_arrays(found)]
+            known = Found(covariance, found, numbers)
+            _keep(self._found, key, known)
+        return known
+
+    def shares(
+        self, state: ControllerState, found: Coefficients, dt: float
+    ) -> tuple[Array, int, tuple[float, ...]]:
+        """Shares ``(K, 2, channels)`` of the commands under way in what acted and in what will act.
+
+        Then how many act no more, and the ages of the others.
+        """
+        key = (dt, state.actuator.ages)
+        known = self._shares.get(key)
+        if known is None:
+            ages = actuator.aged(state.actuator.ages, dt)
+            acted = found.window
+            ahead = acted if found.ahead is None else found.ahead.window
+            delay, span = (
+                np.stack(np.broadcast_arrays(*pair, acted.held)[:2])
+                for pair in ((acted.delay, ahead.delay), (acted.span, ahead.span))
+            )
+            over = actuator.count_over(self._parameters.actuator, ages)
+            known = actuator.shares(ages, delay, span), over, actuator.kept(ages, over)
+            _keep(self._shares, key, known)
+        return known
+
+
+def _keep(results: dict[Any, Any], key: Any, result: Any) -> None:
+    if len(results) >= REMEMBERED:
+        del results[next(iter(results))]
+    results[key] = result
+
+
+@lru_cache(maxsize=LAWS)
+def law(parameters: ControllerParameters, with_rate: bool) -> Law:
+    """The law of these parameters (by identity)."""
+    return Law(parameters, with_rate)
+
+
+def is_straight(parameters: ControllerParameters, state: ControllerState, dt: float) -> bool:
+    """Can this step be made by a function of floats?"""
+    differentiator = parameters.differentiator
+    return (
+        parameters.pid is None
+        and state.expected is None
+        and state.observer.estimate.ndim == 1
+        and differentiator is not None
+        and 2.0 * dt <= differentiator.filter_time
+    )
+
+
+def step(
+    parameters: ControllerParameters, state: ControllerState, inputs: ControllerInput, dt: float
+) -> tuple[ControllerState, ControllerOutput]:
+    """`controllers.step`, for what `is_straight`."""
+    known = law(parameters, inputs.measured_rate is not None)
+    found = known.find(state, inputs, dt)
+    shares, over, ages = known.shares(state, found.coefficients, dt)
+    means = np.add.reduce(shares * state.actuator.commands[:, None])
+    given = (*_state_arrays(state), *_input_arrays(inputs), *means)
+    numbers = known.function(*[array.tolist() for array in given], *found.numbers)
+    rows = list(np.array(numbers).reshape(-1, inputs.reference.size))
+    queue = actuator.ActuatorState(ages, state.actuator.commands[over:], rows[6])
+    queue = actuator.send(queue, rows[-3])
+    return _next_state(state, found.coefficients, queue, rows), _output(rows)
+
+
+def prepare(
+    parameters: ControllerParameters, state: ControllerState, inputs: ControllerInput, dt: float
+) -> None:
+    """Work out what `step` will look up; measurements are not read."""
+    known = law(parameters, inputs.measured_rate is not None)
+    known.shares(state, known.find(state, inputs, dt).coefficients, dt)
+
+
+def _state_arrays(state: ControllerState) -> list[Array]:
+    """What the arithmetic reads and changes of a state; of the queue it reads the last command."""
+    tracked, seen, filtered = state.differentiator, state.observer, state.kalman
+    arrays = [
+        tracked.position,
+        tracked.rate,
+        tracked.acceleration,
+        seen.estimate,
+        seen.rate,
+        seen.disturbance,
+    ]
+    if filtered is not None:
+        arrays += [filtered.estimate, filtered.rate, filtered.disturbance]
+    return [*arrays, state.actuator.lagged, state.actuator.commands[-1]]
+
+
+def _input_arrays(inputs: ControllerInput) -> list[Any]:
+    rate = [] if inputs.measured_rate is None else [inputs.measured_rate]
+    return [inputs.reference, inputs.measurement, inputs.fresh, *rate]
+
+
+def _coefficient_arrays(found: Coefficients) -> list[Array]:
+    """What of the coefficients differs from step to step."""
+    arrays = [np.array(found.dt), found.window.held, found.window.decay, *found.discrete[:3]]
+    assert found.correction is not None
+    arrays += found.correction
+    if found.kalman is not None:
+        arrays += found.kalman
+    return [np.asarray(array) for array in arrays]
+
+
+def _next_state(
+    state: ControllerState, found: Coefficients, queue: actuator.ActuatorState, rows: list[Array]
+) -> ControllerState:
+    """The state after the step; `rows` are those of `_results`."""
+    filtered = state.kalman
+    if filtered is not None:
+        filtered = KalmanState(rows[7], rows[8], rows[9], found.covariance, found.period)
+    return ControllerState(
+        TrackingDifferentiatorState(rows[0], rows[1], rows[2]),
+        observer.ObserverState(rows[3], rows[4], rows[5], found.elapsed),
+        queue,
+        state.pid,
+        filtered,
+    )
+
+
+def _output(rows: list[Array]) -> ControllerOutput:
+    command, omega_c, saturated = rows[-3:]
+    return ControllerOutput(
+        command, rows[0], rows[1], rows[3], rows[4], rows[5], omega_c, saturated.astype(bool)
+    )
+
+
+def _results(state: ControllerState, output: ControllerOutput) -> list[Any]:
+    """What the function returns: state, command, omega_c and whether the command was limited."""
+    tracked, seen, filtered = state.differentiator, state.observer, state.kalman
+    arrays = [
+        tracked.position,
+        tracked.rate,
+        tracked.acceleration,
+        seen.estimate,
+        seen.rate,
+        seen.disturbance,
+    ]
+    arrays.append(state.actuator.lagged)
+    if filtered is not None:
+        arrays += [filtered.estimate, filtered.rate, filtered.disturbance]
+    return [*arrays, output.command, output.omega_c, output.saturated]
+
+
+def _traced(parameters: ControllerParameters, with_rate: bool) -> Function:
+    """Run the arithmetic with symbols in place of all numbers that differ from step to step."""
+    channels = len(parameters.angular)
+    zero, fresh = np.zeros(channels), np.ones(channels, dtype=bool)
+    state = initial_state(parameters, zero, zero)
+    inputs = ControllerInput(zero, zero, fresh, zero if with_rate else None)
+    found = coefficients(parameters, state, inputs, _ANY_STEP)
+    tape, names = Tape(), count()
+    arguments: dict[str, Traced] = {}
+
+    def symbols(arrays: Sequence[Array]) -> list[Any]:
+        for array in arrays:
+            name = f"a{next(names)}"
+            arguments[name] = tape.inputs(f"{name}_", array.shape)
+        return list(arguments.values())[-len(arrays) :]
+
+    state = _with_state_arrays(state, symbols(_state_arrays(state)))
+    inputs = ControllerInput(*symbols(_input_arrays(inputs)))
+    means = symbols([zero, zero])
+    found = _with_coefficient_arrays(found, symbols(_coefficient_arrays(found)))
+    advanced, output = advance(parameters, found, state, inputs, means)
+    return compiled(tape, arguments, _results(advanced, output))
+
+
+def _with_state_arrays(state: ControllerState, arrays: list[Any]) -> ControllerState:
+    """A state with other `_state_arrays`."""
+    filtered = state.kalman
+    if filtered is not None:
+        filtered = filtered._replace(estimate=arrays[6], rate=arrays[7], disturbance=arrays[8])
+    lagged, previous = arrays[-2:]
+    return state._replace(
+        differentiator=TrackingDifferentiatorState(*arrays[:3]),
+        observer=observer.ObserverState(arrays[3], arrays[4], arrays[5], state.observer.elapsed),
+        actuator=actuator.ActuatorState((np.inf,), previous[None], lagged),
+        kalman=filtered,
+    )
+
+
+def _with_coefficient_arrays(found: Coefficients, arrays: list[Any]) -> Coefficients:
+    """Coefficients with other `_coefficient_arrays`."""
+    dt, held, decay, e, p, q, *gains = arrays
+    return found._replace(
+        dt=dt,
+        window=found.window._replace(held=held, decay=decay),
+        discrete=found.discrete._replace(e=e, p=p, q=q),
+        correction=tuple(gains[:3]),
+        kalman=None if found.kalman is None else KalmanGains(*gains[3:]),
+    )

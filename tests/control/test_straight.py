@@ -1,0 +1,99 @@
+"""The step of one vehicle in plain floats is the step of the array code, bit by bit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from kffa_offboard.config import bundled, load
+from kffa_offboard.control import controllers, straight
+from kffa_offboard.control.controllers import ControllerInput
+
+LADRC = load(bundled("demo-px4.toml")).service.controller
+VARIANTS = {
+    "demonstration": LADRC,
+    "attitude": load(bundled("demo-ardupilot.toml")).service.controller,
+    "position ring": load(bundled("demo-px4-position.toml")).service.position.ring.controller,
+    "without Kalman filter": replace(LADRC, kalman=None),
+    "without fuzzy rules": replace(LADRC, fuzzy=None),
+    "without look ahead": replace(LADRC, prediction=None),
+    "published rules": replace(LADRC, fuzzy=replace(LADRC.fuzzy, rules="published")),
+    "literal filter": replace(LADRC, kalman=replace(LADRC.kalman, model="literal")),
+}
+
+
+def leaves(value):
+    """All numbers of a state or an output, flat, whether of one vehicle or of a batch of one."""
+    if isinstance(value, tuple):
+        return np.concatenate([leaves(part) for part in value]) if value else np.empty(0)
+    return np.empty(0) if value is None else np.asarray(value, dtype=float).reshape(-1)
+
+
+def as_batch(value, channels):
+    """The same for a batch of one flight, which is never written out."""
+    if isinstance(value, tuple) and hasattr(value, "_fields"):
+        return type(value)(*(as_batch(part, channels) for part in value))
+    one_vehicle = isinstance(value, np.ndarray) and value.shape[-1:] == (channels,)
+    return value[..., None] if one_vehicle else value
+
+
+def initial(parameters):
+    size = len(parameters.angular)
+    return controllers.initial_state(parameters, np.zeros(size), np.full(size, 0.1))
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+@given(seed=st.integers(0, 10_000), with_rate=st.booleans(), noise=st.sampled_from([0.001, 0.1, 3.0]))
+def test_the_same_numbers_as_the_array_code(name, seed, with_rate, noise):
+    parameters, random = VARIANTS[name], np.random.default_rng(seed)
+    state, size = initial(parameters), len(parameters.angular)
+    for _ in range(25):
+        dt = float(random.choice([0.004, 0.01, 0.011, 0.0371]))
+        fresh = random.random(size) < 0.8
+        measured, rate = noise * random.normal(size=(2, size))
+        measured[~fresh] = rate[~fresh] = np.nan  # must not be read
+        inputs = ControllerInput(
+            random.normal(size=size), measured, fresh, rate if with_rate or name == "literal filter" else None
+        )
+        assert straight.is_straight(parameters, state, dt)
+        batch = controllers.step(parameters, as_batch(state, size), as_batch(inputs, size), dt)
+        state, output = controllers.step(parameters, state, inputs, dt)
+        np.testing.assert_array_equal(leaves(output), leaves(batch[1]))
+        np.testing.assert_array_equal(leaves(state), leaves(batch[0]))
+        if random.random() < 0.3:
+            applied = random.normal(size=size)
+            state = controllers.with_applied(parameters, state, applied)
+        if random.random() < 0.1:
+            state = controllers.align_reference(parameters, state)
+
+
+def test_a_measurement_that_is_no_number_reaches_the_command():
+    # The guard refuses it there; a bound must not make a number of it.
+    state = initial(LADRC)
+    measured = np.array([0.0, np.nan, 0.0, 0.0])
+    inputs = ControllerInput(np.zeros(4), measured, np.ones(4, dtype=bool), np.zeros(4))
+    with pytest.raises(ValueError, match="NaN"):  # the fuzzy rules have no cell for it
+        controllers.step(LADRC, state, inputs, 0.01)
+    without_rules = replace(LADRC, fuzzy=None)
+    _, output = controllers.step(without_rules, state, inputs, 0.01)
+    assert np.isnan(output.command[1]) and np.all(np.isfinite(output.command[[0, 2, 3]]))
+
+
+@pytest.mark.parametrize("name", ["pid", "cascaded-pid"])
+def test_the_pids_are_left_to_the_array_code(name):
+    parameters = load(bundled("demo-px4.toml")).service.controller
+    other = replace(parameters, pid=object())
+    assert not straight.is_straight(other, initial(parameters), 0.01)
+
+
+def test_rare_steps_are_left_to_the_array_code():
+    state = initial(LADRC)
+    assert not straight.is_straight(LADRC, state, 0.6 * LADRC.differentiator.filter_time)
+    expecting = controllers.with_disturbance_step(LADRC, state, np.array([0.0, 0.0, 0.0, 3.0]), 0.1)
+    assert not straight.is_straight(LADRC, expecting, 0.01)
+    batch = as_batch(state, 4)
+    assert not straight.is_straight(LADRC, batch, 0.01)
