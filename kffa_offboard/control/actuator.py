@@ -66,6 +66,9 @@ def send(state: ActuatorState, command: Array) -> ActuatorState:
     return ActuatorState((*ages, 0.0), np.concatenate((kept, command[None])), state.lagged)
 
 
+NOW = np.zeros(())
+
+
 class Window(NamedTuple):
     """A time, as commands under way see it; each ``(4[, N])`` or broadcast to it.
 
@@ -109,8 +112,12 @@ def shares(ages: tuple[float, ...], delay: Array, span: Array) -> Array:
 
 
 @remember
-def _known_shares(ages: tuple[float, ...], delay: Array, span: Array) -> tuple[Array]:
-    return (shares(ages, delay, span),)
+def _acting(
+    parameters: ActuatorParameters, ages: tuple[float, ...], dt: float, axes: int
+) -> tuple[Array, Array, Array]:
+    """Shares, `held` and `decay` of the `dt` that ends at the moment of the ages."""
+    delay, span, held, decay = window(parameters, NOW, dt, axes)
+    return shares(ages, delay, span), held, decay
 
 
 def average(shares: Array, commands: Array) -> Array:
@@ -128,14 +135,10 @@ def lagging(average: Array, held: Array, decay: Array, lagged: Array) -> tuple[A
     return average + held * transient, average + decay * transient
 
 
-NOW = np.zeros(())
-
-
 def step(parameters: ActuatorParameters, state: ActuatorState, dt: float) -> tuple[ActuatorState, Array]:
     """Advance by `dt` s and return the mean command ``(4[, N])`` that acted in that time."""
     ages = aged(state.ages, dt)
-    delay, span, held, decay = window(parameters, NOW, dt, state.lagged.ndim)
-    (parts,) = _known_shares(ages, delay, span)
+    parts, held, decay = _acting(parameters, ages, dt, state.lagged.ndim)
     acted, lagged = lagging(average(parts, state.commands), held, decay, state.lagged)
     over = count_over(parameters, ages)
     return ActuatorState(kept(ages, over), state.commands[over:], lagged), acted
@@ -165,5 +168,5 @@ def forecast(parameters: ActuatorParameters, state: ActuatorState, horizon: Arra
     `horizon` is per channel and must be more than 0.
     """
     delay, span, held, decay = window(parameters, horizon, horizon, state.lagged.ndim)
-    (parts,) = _known_shares(state.ages, delay, span)
-    return lagging(average(parts, state.commands), held, decay, state.lagged)[0]
+    mean = average(shares(state.ages, delay, span), state.commands)
+    return lagging(mean, held, decay, state.lagged)[0]

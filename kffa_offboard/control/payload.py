@@ -20,13 +20,16 @@ All arrays are scalars ``()`` for one vehicle or ``(N,)`` for a batch.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
-from math import exp
-from typing import NamedTuple
+from functools import lru_cache
+from math import exp, isinf
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from kffa_offboard.control import Array, BoolArray, actuator
+from kffa_offboard.control.tracing import Tape, compiled
 
 GRAVITY = 9.80665
 
@@ -166,7 +169,8 @@ def load(parameters: PayloadParameters, state: PayloadState) -> tuple[Array, Arr
     """Mass of the load and its standard deviation, kg."""
     total = parameters.vehicle_mass / state.ratio
     noise = total / state.ratio * np.sqrt(state.ratio_variance)
-    return total - parameters.vehicle_mass, np.hypot(noise, total * parameters.hover_thrust_uncertainty)
+    uncertain = total * parameters.hover_thrust_uncertainty
+    return total - parameters.vehicle_mass, np.sqrt(noise * noise + uncertain * uncertain)
 
 
 def accept(parameters: PayloadParameters, state: PayloadState) -> PayloadState:
@@ -197,29 +201,43 @@ def step(
     rate : measured climb rate, m/s; read if `fresh`
     tilt_factor : cos(roll) cos(pitch), as measured
     """
-    state = _predict(parameters, state, tilt_factor, dt)
-    if fresh:
-        state = _correct(parameters, state, rate)
-    return _decide(parameters, state, rate, dt)
+    queue, (acted,) = actuator.step(parameters.actuator, state.thrust, dt)
+    if np.ndim(rate) == 0 and isinf(state.suspected):
+        return _straight_step(parameters, state, queue, float(acted), rate, tilt_factor, fresh, dt)
+    state = _filter(parameters, state, acted, rate, tilt_factor, fresh, dt)
+    return _decide(parameters, state._replace(thrust=queue), rate, dt)
+
+
+def _filter(
+    parameters: PayloadParameters,
+    state: PayloadState,
+    acted: Array,
+    rate: Array,
+    tilt_factor: Array,
+    fresh: bool,
+    dt: float,
+) -> PayloadState:
+    state = _predict(parameters, state, acted, tilt_factor, dt)
+    return _correct(parameters, state, rate) if fresh else state
 
 
 def _predict(
-    parameters: PayloadParameters, state: PayloadState, tilt_factor: Array, dt: float
+    parameters: PayloadParameters, state: PayloadState, acted: Array, tilt_factor: Array, dt: float
 ) -> PayloadState:
     """Kalman prediction with the transition [[1, gain], [0, 1]], the gain by the thrust that acted."""
-    queue, (acted,) = actuator.step(parameters.actuator, state.thrust, dt)
     change = acted - state.acted
     gain = parameters.b0 * acted * tilt_factor * dt
     # A change of thrust is smeared over the lag: its steps err alike and add up.
     together = 1.0 + 2.0 * parameters.actuator.longest_lag / dt
-    mistimed = together * (parameters.b0 * change * parameters.timing_uncertainty) ** 2
+    mistimed = parameters.b0 * change * parameters.timing_uncertainty
     drift = parameters.acceleration_intensity / GRAVITY**2 * dt
     covariance = state.covariance + gain * state.ratio_variance
     return state._replace(
-        thrust=queue,
         acted=acted,
         rate=state.rate + gain * state.ratio - GRAVITY * dt,
-        rate_variance=state.rate_variance + gain * (state.covariance + covariance) + mistimed,
+        rate_variance=state.rate_variance
+        + gain * (state.covariance + covariance)
+        + together * (mistimed * mistimed),
         covariance=covariance,
         ratio_variance=state.ratio_variance + drift,
     )
@@ -243,6 +261,46 @@ def _correct(parameters: PayloadParameters, state: PayloadState, rate: Array) ->
     )
 
 
+_NUMBERS = 10  # of a state, beside the commands under way
+
+
+def _straight_step(
+    parameters: PayloadParameters,
+    state: PayloadState,
+    queue: actuator.ActuatorState,
+    acted: float,
+    rate: Array,
+    tilt_factor: Array,
+    fresh: bool,
+    dt: float,
+) -> tuple[PayloadState, PayloadEstimate]:
+    """The step of one vehicle of whose load nothing is suspected, in plain floats."""
+    detection = parameters.detection
+    given: tuple[Any, ...] = (*state[1:], acted, rate, tilt_factor, dt, exp(-dt / detection.memory))
+    *numbers, mass, std, followed = _straight(parameters, fresh)([float(number) for number in given])
+    state = PayloadState(queue, *numbers)  # type: ignore[arg-type]  # floats do as arrays without axes
+    if max(state.rising, state.falling) > detection.alarm:
+        return _decide(parameters, state, rate, dt)
+    return state._replace(settled=followed), PayloadEstimate(mass, std, 0.0)  # type: ignore[arg-type]
+
+
+@lru_cache(maxsize=16)
+def _straight(parameters: PayloadParameters, fresh: bool) -> Callable[..., tuple[float, ...]]:
+    """`_filter` and what is done while nothing is suspected, written out (`tracing`)."""
+    tape = Tape()
+    numbers = tape.inputs("x", (_NUMBERS + 5,))
+    state = PayloadState(actuator.initial_state(np.zeros(1)), *numbers[:_NUMBERS])
+    acted, rate, tilt_factor, dt, forgotten = numbers[_NUMBERS:]
+    state = _filter(parameters, state, acted, rate, tilt_factor, fresh, dt)
+    mass, std = load(parameters, state)
+    return compiled(tape, {"numbers": numbers}, [*state[1:], mass, std, _followed(state, mass, forgotten)])
+
+
+def _followed(state: PayloadState, mass: Array, forgotten: float) -> Array:
+    """The settled load follows the estimate while nothing is suspected."""
+    return state.settled + (1.0 - forgotten) * (mass - state.settled)
+
+
 def _decide(
     parameters: PayloadParameters, state: PayloadState, measured: Array, dt: float
 ) -> tuple[PayloadState, PayloadEstimate]:
@@ -255,7 +313,7 @@ def _decide(
         suspected = np.where(alarm & np.isinf(suspected), 0.0, suspected)
     mass, std = load(parameters, state)
     change = mass - state.settled
-    followed = state.settled + (1.0 - exp(-dt / detection.memory)) * change
+    followed = _followed(state, mass, exp(-dt / detection.memory))
     calm = np.isinf(suspected)
     if calm.all():
         return state._replace(settled=followed), PayloadEstimate(mass, std, np.zeros_like(change))

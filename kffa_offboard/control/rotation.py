@@ -7,13 +7,17 @@ are three numbers, ``(3,)`` or ``(3, N)``, in the paper's axes (body x forward, 
 
 from __future__ import annotations
 
-from typing import TypeAlias
+from collections.abc import Callable
+from functools import cache
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from kffa_offboard.control import Array
+from kffa_offboard.control.tracing import Tape, compiled
 
-Vector: TypeAlias = Array | tuple[float, float, float]
+Vector3: TypeAlias = tuple[float, float, float]
+Vector: TypeAlias = Array | Vector3
 
 # cos(pitch) is held this far from zero, so that a vehicle carried by hand nose-down gives large
 # rates instead of infinite ones. Nothing flies there: the tilt limit is far below.
@@ -31,7 +35,7 @@ def euler_rates_to_body_rates(euler: Vector, euler_rates: Vector) -> Array:
     roll, pitch, _ = euler
     sin_roll, cos_roll, sin_pitch, cos_pitch = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
     roll_rate, pitch_rate, yaw_rate = euler_rates
-    return np.array(
+    return np.stack(
         [
             roll_rate - sin_pitch * yaw_rate,
             cos_roll * pitch_rate + sin_roll * cos_pitch * yaw_rate,
@@ -50,13 +54,34 @@ def body_rates_to_euler_rates(euler: Vector, body_rates: Vector) -> Array:
     p, q, r = body_rates
     cos_pitch = np.copysign(np.maximum(np.abs(cos_pitch), _COSINE_FLOOR), cos_pitch)
     turning = sin_roll * q + cos_roll * r
-    return np.array(
+    return np.stack(
         [
             p + sin_pitch / cos_pitch * turning,
             cos_roll * q - sin_roll * r,
             turning / cos_pitch,
         ]
     )
+
+
+@cache
+def _straight(function: Callable[[Any, Any], Array]) -> Callable[[Vector3, Vector3], Any]:
+    """`function` of two vectors, written out for one vehicle (`tracing`)."""
+    tape = Tape()
+    arguments = {name: tape.inputs(name, (3,)) for name in ("a", "b")}
+    first, second = arguments.values()
+    return compiled(tape, arguments, [function(first, second)])
+
+
+def body_rates_of(euler: Vector3, euler_rates: Vector3) -> Vector3:
+    """`euler_rates_to_body_rates` for three floats each."""
+    p, q, r = _straight(euler_rates_to_body_rates)(euler, euler_rates)
+    return p, q, r
+
+
+def euler_rates_of(euler: Vector3, body_rates: Vector3) -> Vector3:
+    """`body_rates_to_euler_rates` for three floats each."""
+    roll_rate, pitch_rate, yaw_rate = _straight(body_rates_to_euler_rates)(euler, body_rates)
+    return roll_rate, pitch_rate, yaw_rate
 
 
 def wrap_angle(angle: Array) -> Array:

@@ -14,7 +14,7 @@ those of numpy to the last bit, NaN included.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,8 @@ _TEMPLATES = {
     "negative": "(-{0})",
     "absolute": "abs({0})",
     "sqrt": "sqrt({0})",
+    "sin": "sin({0})",
+    "cos": "cos({0})",
     "square": "({0} * {0})",
     "copysign": "copysign({0}, {1})",
     # Adding and taking away 1.5 * 2^52 rounds to the nearest whole number, halves to even, as numpy does.
@@ -49,7 +51,14 @@ _TEMPLATES = {
     "entry": "{0}[{1}]",
 }
 _TWICE = frozenset({"square", "minimum", "maximum"})  # write an argument more than once: it must have a name
-_NAMESPACE = {"sqrt": math.sqrt, "copysign": math.copysign, "nan": math.nan, "inf": math.inf}
+_NAMESPACE = {
+    "sqrt": math.sqrt,
+    "sin": math.sin,
+    "cos": math.cos,
+    "copysign": math.copysign,
+    "nan": math.nan,
+    "inf": math.inf,
+}
 
 
 class Symbol:
@@ -144,6 +153,14 @@ class Traced(np.ndarray[Any, Any]):
             return np.zeros(arguments[0].shape)
         raise TypeError(f"{function.__name__} cannot be written out for one vehicle")
 
+    def __getitem__(self, place: Any) -> Any:
+        """Entries are arrays without axes, so that numpy's functions know them."""
+        return _array(super().__getitem__(place))
+
+    def __iter__(self) -> Iterator[Any]:
+        """Its rows, or entries."""
+        return (self[k] for k in range(len(self)))
+
     def astype(self, dtype: Any, *_: Any, **__: Any) -> Any:
         """Whole numbers, towards zero."""
         if dtype is not np.intp:
@@ -176,8 +193,15 @@ def _each(operation: str, constant: Callable[..., Any], inputs: Sequence[Any]) -
         return tape.note(operation, *values)
 
     result = np.frompyfunc(one, len(inputs), 1)(*map(_entries, inputs))
-    whole = np.empty(np.shape(result), dtype=object)
-    whole[...] = result
+    return _array(result)
+
+
+def _array(value: Any) -> Traced:
+    """What numpy has made of symbols, as an array in any case."""
+    if isinstance(value, Traced):
+        return value
+    whole = np.empty(np.shape(value), dtype=object)
+    whole[...] = value
     return whole.view(Traced)
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from kffa_offboard.control import Array, controllers
-from kffa_offboard.control.rotation import body_rates_to_euler_rates, euler_rates_to_body_rates, wrap_angle
+from kffa_offboard.control.rotation import body_rates_of, euler_rates_of, wrap_angle
 from kffa_offboard.offboard.carrying import Carrying, follow
 from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
 from kffa_offboard.offboard.flight import Directive
@@ -162,7 +162,7 @@ def _measurement(known: Telemetry) -> Array:
 
 def _measured_rate(known: Telemetry) -> Array:
     assert known.attitude is not None and known.position is not None
-    rates = body_rates_to_euler_rates(known.attitude.attitude, known.attitude.body_rates)
+    rates = euler_rates_of(known.attitude.attitude, known.attitude.body_rates)
     return np.array((*rates, known.position.velocity[2]))
 
 
@@ -203,7 +203,7 @@ def command_of(settings: ServiceSettings, attitude: Vector3, target: AttitudeTar
     """A setpoint in the controller's channels ``(4,)``; angles in the turn of `near` ``(4,)``."""
     vertical = target.thrust * tilt_factor(settings.limits, attitude)
     if target.body_rates is not None:
-        rates = body_rates_to_euler_rates(attitude, target.body_rates)
+        rates = euler_rates_of(attitude, target.body_rates)
         return np.array((*rates, vertical))
     assert target.attitude is not None
     return controllers.wrap_near(np.array([*target.attitude, vertical]), near, settings.controller)
@@ -214,8 +214,7 @@ def target_of(settings: ServiceSettings, attitude: Vector3, command: Array) -> A
     roll, pitch, yaw, vertical = command.tolist()
     thrust = vertical / tilt_factor(settings.limits, attitude)
     if settings.output == "rates":
-        p, q, r = euler_rates_to_body_rates(attitude, (roll, pitch, yaw)).tolist()
-        return AttitudeTarget(thrust, body_rates=(p, q, r))
+        return AttitudeTarget(thrust, body_rates=body_rates_of(attitude, (roll, pitch, yaw)))
     return AttitudeTarget(thrust, attitude=(roll, pitch, float(wrap_angle(yaw))))
 
 
