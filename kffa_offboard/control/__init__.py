@@ -19,7 +19,7 @@ def column(value: float | Array | BoolArray, like: Array) -> Any:
 
     A per-channel vector gets one trailing axis for each batch axis of `like`.
     """
-    array = np.asarray(value)
+    array = value if isinstance(value, np.ndarray) else np.asarray(value)
     if array.ndim == 0 or array.ndim >= like.ndim:
         return array
     return array.reshape(array.shape + (1,) * (like.ndim - array.ndim))

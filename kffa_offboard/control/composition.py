@@ -46,6 +46,7 @@ class Coefficients(NamedTuple):
     discrete : the plant over `dt`
     ahead : None without a prediction
     kalman, correction : gains; None without the block
+    scales : of the fuzzy rules; None without them
     elapsed, covariance, period : of the state after the step (see the blocks)
     """
 
@@ -56,6 +57,7 @@ class Coefficients(NamedTuple):
     ahead: Lookahead | None
     kalman: kalman.KalmanGains | None
     correction: tuple[Array, Array, Array] | None
+    scales: tuple[Array, Array] | None
     elapsed: Array
     covariance: Array
     period: float
@@ -94,6 +96,7 @@ def coefficients(
         ahead,
         gains,
         correction,
+        None if parameters.fuzzy is None else fuzzy.scaling(parameters.fuzzy, axes),
         elapsed,
         covariance,
         period,
@@ -296,12 +299,11 @@ def _adrc_command(
     assert law is not None
     estimates = _ahead(parameters, found, state, average)
     omega_c = column(law.omega_c, estimates.estimate)
-    if parameters.fuzzy is None:
+    if parameters.fuzzy is None or found.scales is None:
         omega_c = omega_c + np.zeros_like(estimates.estimate)
     else:
-        omega_c = omega_c + fuzzy.bandwidth_correction(
-            parameters.fuzzy, estimates.estimate - tracked.position, estimates.rate - tracked.rate
-        )
+        error, error_rate = estimates.estimate - tracked.position, estimates.rate - tracked.rate
+        omega_c = omega_c + fuzzy.scaled_correction(parameters.fuzzy.rules, found.scales, error, error_rate)
     kp, kd = ladrc.gains(law, omega_c)
     forward = law.acceleration_feedforward * tracked.acceleration
     reference = (tracked.position, tracked.rate, forward)

@@ -118,7 +118,7 @@ def _interpolate(table: Array, place: Array) -> Array:
 
 
 @remember
-def _scaling(parameters: FuzzyParameters, axes: int) -> tuple[Array, Array]:
+def scaling(parameters: FuzzyParameters, axes: int) -> tuple[Array, Array]:
     """From error and rate ``(2, 4[, N])`` to places in the table, and from its entries to rad/s."""
     like = np.empty((1,) * axes)
     edges = np.array(
@@ -129,6 +129,10 @@ def _scaling(parameters: FuzzyParameters, axes: int) -> tuple[Array, Array]:
 
 def bandwidth_correction(parameters: FuzzyParameters, error: Array, error_rate: Array) -> Array:
     """Delta omega_c [rad/s] for error e = y - r and its rate, each ``(4[, N])`` in output units."""
-    to_place, to_bandwidth = _scaling(parameters, error.ndim)
-    place = np.stack([error, error_rate]) * to_place
-    return _interpolate(TABLES[parameters.rules], place) * to_bandwidth
+    return scaled_correction(parameters.rules, scaling(parameters, error.ndim), error, error_rate)
+
+
+def scaled_correction(rules: RuleBase, scales: tuple[Array, Array], error: Array, error_rate: Array) -> Array:
+    """`bandwidth_correction` with given `scaling`."""
+    to_place, to_bandwidth = scales
+    return _interpolate(TABLES[rules], np.stack([error, error_rate]) * to_place) * to_bandwidth

@@ -29,6 +29,7 @@ from kffa_offboard.control.observer import Discrete, PlantModel, discretised, mo
 
 LITERAL_PROCESS_VARIANCE = 0.03  # the paper's Q, per step (section III-C)
 MEASUREMENT_VARIANCE = 0.001  # the paper's R (section III-C)
+_AT_REST = 1e-9  # relative change of the covariance in a step below which it stays as it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +193,7 @@ def _gain(
 ) -> tuple[Array, Array, Array]:
     """Covariance after prediction and correction (eq 45, 46, 48), and the gains of `KalmanGains` ``(3, 4)``.
 
-    Measurements do not enter: with a steady telemetry all of it soon repeats itself, to the last bit.
+    Measurements do not enter: with a steady telemetry all of it soon repeats itself.
     """
     channels, n = fresh.size, parameters.states
     f, q = _model_matrices(parameters, model, dt)
@@ -207,7 +208,9 @@ def _gain(
         output[:n, index] = gain[index, :, np.arange(index.size)].T
         if with_rate:
             rate[:n, index] = gain[index, :, index.size + np.arange(index.size)].T
-    return np.asarray(kalman.P), output, rate
+    deviations = np.sqrt(np.diag(covariance))
+    at_rest = np.abs(kalman.P - covariance) <= _AT_REST * np.outer(deviations, deviations)
+    return covariance if at_rest.all() else np.asarray(kalman.P), output, rate
 
 
 def _period(parameters: KalmanParameters, state: KalmanState, dt: float) -> float:

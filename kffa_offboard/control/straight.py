@@ -1,13 +1,15 @@
 """One step of one vehicle: `composition.advance`, written out in plain floats (`tracing`).
 
-Only what steps have in common is traced, once for each set of parameters: a LADRC, without an expected
-step of the disturbance, whose reference moves in one part. Everything else is left to the array code. The
-numbers are the same.
+Only what steps have in common is traced: a LADRC, without an expected step of the disturbance, whose
+reference moves in one part. Everything else is left to the array code. The numbers are the same. Parameters
+are arguments of the function, which is traced once for each structure: that takes some 0.05 s, and parameters
+are set in flight.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import lru_cache
 from itertools import count
 from typing import Any, NamedTuple, TypeAlias
@@ -20,9 +22,10 @@ from kffa_offboard.control.blocks import (
     ControllerOutput,
     ControllerParameters,
     ControllerState,
+    Limits,
     initial_state,
 )
-from kffa_offboard.control.composition import Coefficients, advance, coefficients
+from kffa_offboard.control.composition import Coefficients, Lookahead, advance, coefficients
 from kffa_offboard.control.kalman import KalmanGains, KalmanState
 from kffa_offboard.control.tracing import Tape, Traced, compiled
 from kffa_offboard.control.tracking_differentiator import TrackingDifferentiatorState
@@ -45,7 +48,7 @@ class Found(NamedTuple):
     Attributes
     ----------
     covariance : the Kalman filter's before the step; None without one
-    numbers : flat lists, in the order of `_coefficient_arrays`
+    numbers : flat lists, in the order of `_coefficient_arrays` and `_parameter_arrays`
     """
 
     covariance: Array | None
@@ -53,17 +56,24 @@ class Found(NamedTuple):
     numbers: list[list[float]]
 
 
+_functions: dict[tuple[Any, ...], Function] = {}
+
+
 class Law:
-    """The step of one set of parameters, and what it has looked up.
+    """The step with one set of parameters, and what it has looked up.
 
     Attributes
     ----------
-    function : of state, inputs, means and coefficients, each a list of numbers for each array, in this order
+    function : of state, inputs, means, coefficients and parameters, in this order; a list for each array
     """
 
     def __init__(self, parameters: ControllerParameters, with_rate: bool) -> None:
-        self.function = _traced(parameters, with_rate)
+        structure = _structure(parameters, with_rate)
+        if structure not in _functions:
+            _keep(_functions, structure, _traced(parameters, with_rate))
+        self.function = _functions[structure]
         self._parameters = parameters
+        self._numbers = [array.reshape(-1).tolist() for array in _parameter_arrays(parameters)]
         self._found: dict[tuple[object, ...], Found] = {}
         self._shares: dict[tuple[object, ...], tuple[Array, int, tuple[float, ...]]] = {}
 
@@ -82,7 +92,7 @@ class Law:
         if known is None or known.covariance is not covariance:
             found = coefficients(self._parameters, state, inputs, dt)
             numbers = [array.reshape(-1).tolist() for array in _coefficient_arrays(found)]
-            known = Found(covariance, found, numbers)
+            known = Found(covariance, found, numbers + self._numbers)
             _keep(self._found, key, known)
         return known
 
@@ -181,11 +191,39 @@ def _input_arrays(inputs: ControllerInput) -> list[Any]:
 def _coefficient_arrays(found: Coefficients) -> list[Array]:
     """What of the coefficients differs from step to step."""
     arrays = [np.array(found.dt), found.window.held, found.window.decay, *found.discrete[:3]]
-    assert found.correction is not None
-    arrays += found.correction
-    if found.kalman is not None:
-        arrays += found.kalman
+    if found.ahead is not None:
+        arrays += [found.ahead.window.held, *found.ahead.discrete[:3]]
+    for more in (found.correction, found.kalman, found.scales):
+        arrays += [] if more is None else more
     return [np.asarray(array) for array in arrays]
+
+
+def _parameter_arrays(parameters: ControllerParameters) -> list[Array]:
+    """What the arithmetic reads of the parameters, and they are free to be."""
+    law, differentiator = parameters.law, parameters.differentiator
+    assert law is not None and differentiator is not None
+    model, limits = parameters.model, parameters.limits
+    arrays = [model.b0, model.damping, model.stiffness, limits.lower, limits.upper, limits.rate]
+    arrays += [differentiator.acceleration, law.omega_c]
+    arrays += [] if law.kp is None or law.kd is None else [law.kp, law.kd]
+    return [np.asarray(array, dtype=float) for array in arrays]
+
+
+def _structure(parameters: ControllerParameters, with_rate: bool) -> tuple[Any, ...]:
+    """Parameters that the function is made for."""
+    law, differentiator, fuzzy = parameters.law, parameters.differentiator, parameters.fuzzy
+    assert law is not None and differentiator is not None
+    return (
+        with_rate,
+        parameters.angular.tobytes(),
+        differentiator.filter_time,
+        parameters.kalman is None,
+        parameters.kalman is not None and parameters.kalman.rate_variance is None,
+        None if fuzzy is None else fuzzy.rules,
+        parameters.prediction is None,
+        law.acceleration_feedforward,
+        *(array.shape for array in _parameter_arrays(parameters)),
+    )
 
 
 def _next_state(
@@ -247,7 +285,9 @@ def _traced(parameters: ControllerParameters, with_rate: bool) -> Function:
     state = _with_state_arrays(state, symbols(_state_arrays(state)))
     inputs = ControllerInput(*symbols(_input_arrays(inputs)))
     means = symbols([zero, zero])
-    found = _with_coefficient_arrays(found, symbols(_coefficient_arrays(found)))
+    parts = found, symbols(_coefficient_arrays(found))
+    parameters = _with_parameter_arrays(parameters, symbols(_parameter_arrays(parameters)))
+    found = _with_coefficient_arrays(*parts, parameters.model)
     advanced, output = advance(parameters, found, state, inputs, means)
     return compiled(tape, arguments, _results(advanced, output))
 
@@ -266,13 +306,40 @@ def _with_state_arrays(state: ControllerState, arrays: list[Any]) -> ControllerS
     )
 
 
-def _with_coefficient_arrays(found: Coefficients, arrays: list[Any]) -> Coefficients:
-    """Coefficients with other `_coefficient_arrays`."""
-    dt, held, decay, e, p, q, *gains = arrays
+def _with_coefficient_arrays(
+    found: Coefficients, arrays: list[Any], model: observer.PlantModel
+) -> Coefficients:
+    """Coefficients with other `_coefficient_arrays`, and those of `model`."""
+    given = iter(arrays)
+
+    def plant() -> observer.Discrete:
+        return observer.Discrete(next(given), next(given), next(given), model.b0, model.stiffness)
+
+    dt = next(given)
+    window = found.window._replace(held=next(given), decay=next(given))
+    discrete, ahead = plant(), found.ahead
+    if ahead is not None:
+        ahead = Lookahead(ahead.window._replace(held=next(given)), plant())
     return found._replace(
         dt=dt,
-        window=found.window._replace(held=held, decay=decay),
-        discrete=found.discrete._replace(e=e, p=p, q=q),
-        correction=tuple(gains[:3]),
-        kalman=None if found.kalman is None else KalmanGains(*gains[3:]),
+        window=window,
+        discrete=discrete,
+        ahead=ahead,
+        correction=(next(given), next(given), next(given)),
+        kalman=None if found.kalman is None else KalmanGains(next(given), next(given)),
+        scales=None if found.scales is None else (next(given), next(given)),
+    )
+
+
+def _with_parameter_arrays(parameters: ControllerParameters, arrays: list[Any]) -> ControllerParameters:
+    """Parameters with other `_parameter_arrays`."""
+    law, differentiator = parameters.law, parameters.differentiator
+    assert law is not None and differentiator is not None
+    kp, kd = arrays[8:] or (law.kp, law.kd)
+    return replace(
+        parameters,
+        model=observer.PlantModel(*arrays[:3]),
+        limits=Limits(*arrays[3:6]),
+        differentiator=replace(differentiator, acceleration=arrays[6]),
+        law=replace(law, omega_c=arrays[7], kp=kp, kd=kd),
     )

@@ -97,3 +97,22 @@ def test_rare_steps_are_left_to_the_array_code():
     assert not straight.is_straight(LADRC, expecting, 0.01)
     batch = as_batch(state, 4)
     assert not straight.is_straight(LADRC, batch, 0.01)
+
+
+def test_numbers_that_are_set_in_flight_need_no_other_function():
+    other = replace(
+        LADRC,
+        law=replace(LADRC.law, omega_c=1.2 * LADRC.law.omega_c),
+        model=replace(LADRC.model, b0=0.9 * LADRC.model.b0),
+        limits=replace(LADRC.limits, upper=0.8 * LADRC.limits.upper),
+        fuzzy=replace(LADRC.fuzzy, error_scale=2.0 * LADRC.fuzzy.error_scale),
+    )
+    before, after = straight.Law(LADRC, True), straight.Law(other, True)
+    assert after.function is before.function
+    state = initial(LADRC)
+    inputs = ControllerInput(np.full(4, 0.1), np.zeros(4), np.ones(4, dtype=bool), np.zeros(4))
+    batch = controllers.step(other, as_batch(state, 4), as_batch(inputs, 4), 0.01)
+    _, output = controllers.step(other, state, inputs, 0.01)
+    _, unchanged = controllers.step(LADRC, state, inputs, 0.01)
+    np.testing.assert_array_equal(leaves(output), leaves(batch[1]))
+    assert np.all(output.command[:3] != unchanged.command[:3])
