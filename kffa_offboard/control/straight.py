@@ -167,8 +167,8 @@ def prepare(
     known.shares(state, known.find(state, inputs, dt).coefficients, dt)
 
 
-def _state_arrays(state: ControllerState) -> list[Array]:
-    """What the arithmetic reads and changes of a state; of the queue it reads the last command."""
+def _changing_arrays(state: ControllerState) -> list[Any]:
+    """What the arithmetic changes of a state."""
     tracked, seen, filtered = state.differentiator, state.observer, state.kalman
     arrays = [
         tracked.position,
@@ -178,9 +178,13 @@ def _state_arrays(state: ControllerState) -> list[Array]:
         seen.rate,
         seen.disturbance,
     ]
-    if filtered is not None:
-        arrays += [filtered.estimate, filtered.rate, filtered.disturbance]
-    return [*arrays, state.actuator.lagged, state.actuator.commands[-1]]
+    arrays.append(state.actuator.lagged)
+    return arrays if filtered is None else [*arrays, filtered.estimate, filtered.rate, filtered.disturbance]
+
+
+def _state_arrays(state: ControllerState) -> list[Any]:
+    """What it reads of it: the last command, too."""
+    return [*_changing_arrays(state), state.actuator.commands[-1]]
 
 
 def _input_arrays(inputs: ControllerInput) -> list[Any]:
@@ -251,19 +255,7 @@ def _output(rows: list[Array]) -> ControllerOutput:
 
 def _results(state: ControllerState, output: ControllerOutput) -> list[Any]:
     """What the function returns: state, command, omega_c and whether the command was limited."""
-    tracked, seen, filtered = state.differentiator, state.observer, state.kalman
-    arrays = [
-        tracked.position,
-        tracked.rate,
-        tracked.acceleration,
-        seen.estimate,
-        seen.rate,
-        seen.disturbance,
-    ]
-    arrays.append(state.actuator.lagged)
-    if filtered is not None:
-        arrays += [filtered.estimate, filtered.rate, filtered.disturbance]
-    return [*arrays, output.command, output.omega_c, output.saturated]
+    return [*_changing_arrays(state), output.command, output.omega_c, output.saturated]
 
 
 def _traced(parameters: ControllerParameters, with_rate: bool) -> Function:
@@ -294,10 +286,9 @@ def _traced(parameters: ControllerParameters, with_rate: bool) -> Function:
 
 def _with_state_arrays(state: ControllerState, arrays: list[Any]) -> ControllerState:
     """A state with other `_state_arrays`."""
-    filtered = state.kalman
+    lagged, previous, filtered = arrays[6], arrays[-1], state.kalman
     if filtered is not None:
-        filtered = filtered._replace(estimate=arrays[6], rate=arrays[7], disturbance=arrays[8])
-    lagged, previous = arrays[-2:]
+        filtered = filtered._replace(estimate=arrays[7], rate=arrays[8], disturbance=arrays[9])
     return state._replace(
         differentiator=TrackingDifferentiatorState(*arrays[:3]),
         observer=observer.ObserverState(arrays[3], arrays[4], arrays[5], state.observer.elapsed),

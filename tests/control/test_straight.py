@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kffa_offboard.config import bundled, load
@@ -47,6 +47,7 @@ def initial(parameters):
 
 
 @pytest.mark.parametrize("name", VARIANTS)
+@settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), with_rate=st.booleans(), noise=st.sampled_from([0.001, 0.1, 3.0]))
 def test_the_same_numbers_as_the_array_code(name, seed, with_rate, noise):
     parameters, random = VARIANTS[name], np.random.default_rng(seed)
