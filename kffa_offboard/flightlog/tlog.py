@@ -13,6 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.signals import LATEST_US, SignalTable, is_signals, table
+from kffa_offboard.frame_codec import decode
 
 TIMESTAMP = struct.Struct(">Q")
 
@@ -60,10 +61,9 @@ class TlogReader:
 
         Raises UserError if the file cannot be read or is no telemetry log.
         """
-        parser = mavlink.MAVLink(None)
         for time_us, frame in self.frames():
             try:
-                yield time_us, parser.decode(bytearray(frame))
+                yield time_us, decode(frame)
             except mavlink.MAVError:
                 self.damaged += 1
 

@@ -18,6 +18,7 @@ from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.notes import End, Header, Note, Request, to_messages
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.flightlog.tlog import TIMESTAMP
+from kffa_offboard.frame_codec import Packer
 from kffa_offboard.offboard.events import ProcessReport, Signals
 
 LOG = logging.getLogger(__name__)
@@ -77,7 +78,7 @@ class TlogWriter:
         self.path = path
         self._header = header
         self._notes = _NotePacker(system_id, component_id)
-        self._packer = mavlink.MAVLink(None, srcSystem=system_id, srcComponent=component_id)
+        self._signals = Packer(system_id, component_id)
         self._sink = _Sink(path, header, self._notes, part_size)
         self._records: deque[bytes] = deque()
         self._stop = threading.Event()
@@ -93,9 +94,7 @@ class TlogWriter:
 
     def write_signals(self, signals: Signals) -> None:
         """Record signals at their own time. Never waits. Raises ValueError as `signals.to_message` does."""
-        frame = bytes(to_message(signals).pack(self._packer))
-        self._packer.seq = (self._packer.seq + 1) % 256
-        self.write(signals.time_us, frame)
+        self.write(signals.time_us, self._signals.pack(to_message(signals)))
 
     def write_begin(self, time_us: int) -> None:
         """Record the header, at the time when the run began. Never waits."""

@@ -11,11 +11,8 @@ from typing import Any, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard import frame_codec
 from kffa_offboard.mavlink.transport import Datagram
-
-_MARKER = 0xFD
-_OVERHEAD = 12
-"""First byte of a MAVLink 2 frame, and its bytes beside the payload."""
 
 Message: TypeAlias = Any
 """A pymavlink message; which fields it has depends on its type (`get_type()`)."""
@@ -40,17 +37,11 @@ class Route:
         return system in (0, self.own_system) and component in (0, self.own_component)
 
 
-class Component:
+class Component(frame_codec.Packer):
     """Packs messages as frames of ours: identity, sequence number, checksum."""
 
     def __init__(self, route: Route) -> None:
-        self._packer = mavlink.MAVLink(None, srcSystem=route.own_system, srcComponent=route.own_component)
-
-    def pack(self, message: Message) -> bytes:
-        """One MAVLink 2 frame; each has the next sequence number (0..255, then 0 again)."""
-        frame = bytes(message.pack(self._packer))
-        self._packer.seq = (self._packer.seq + 1) % 256
-        return frame
+        super().__init__(route.own_system, route.own_component)
 
 
 def _new_parser() -> Any:
@@ -84,28 +75,32 @@ class FrameParser:
 
     def parse(self, datagram: Datagram) -> list[Message]:
         """Messages that are complete with this datagram, in order; damage is counted and left out."""
-        if self._parser.buf_len() and (self._keeps_frames_whole or datagram.source != self._source):
-            self._parser = _new_parser()
+        unfinished = self._parser.buf_len() > 0
+        if unfinished and (self._keeps_frames_whole or datagram.source != self._source):
+            self._parser, unfinished = _new_parser(), False
         self._source = datagram.source
         messages: list[Message] = []
-        for message in self._single(datagram.data) or self._parser.parse_buffer(datagram.data) or []:
-            if message.get_type() == "BAD_DATA":
+        for message in self._found(datagram.data, unfinished):
+            kind = message.get_type()
+            if kind == "BAD_DATA":
                 self.damaged_bytes += len(message.data)
-            elif message.get_type() == "SETUP_SIGNING":
+            elif kind == "SETUP_SIGNING":
                 messages.append(_without_key(message))
             else:
                 messages.append(message)
         return messages
 
-    def _single(self, data: bytes) -> list[Message] | None:
-        """The message of a datagram that is one undamaged MAVLink 2 frame; None for all others."""
-        whole = self._keeps_frames_whole and len(data) > _OVERHEAD and data[0] == _MARKER and not data[2]
-        if not whole or len(data) != data[1] + _OVERHEAD or self._parser.buf_len():
-            return None
-        try:
-            return [self._parser.decode(bytearray(data))]
-        except mavlink.MAVError:
-            return None  # damaged: what of it can be used is the parser's to find
+    def _found(self, data: bytes, unfinished: bool) -> list[Message]:
+        """What is in the data. Ordinary frames at its beginning need no parser, unless one is unfinished."""
+        found: list[Message] = []
+        while not unfinished and len(data) > 1:
+            size = data[1] + frame_codec.OVERHEAD
+            message = frame_codec.unpack(data[:size])
+            if message is None:
+                break
+            found.append(message)
+            data = data[size:]
+        return found + (self._parser.parse_buffer(data) or []) if data else found
 
 
 def _without_key(message: Message) -> Message:

@@ -14,6 +14,7 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.frame_codec import checksum
 from kffa_offboard.mavlink.signing_key import SigningKey
 
 EPOCH_US = 1_420_070_400_000_000
@@ -76,11 +77,7 @@ def checksum_fits(frame: bytes) -> bool:
         return False
     signed = frame[0] == _MARKER_V2 and bool(frame[2])
     end = len(frame) - 2 - (SIGNATURE_SIZE if signed else 0)
-    return _checksum(frame[1:end], known.crc_extra) == frame[end : end + 2]
-
-
-def _checksum(covered: bytes, crc_extra: int) -> bytes:
-    return int(mavlink.x25crc(covered + bytes((crc_extra,))).crc).to_bytes(2, "little")
+    return checksum(frame[1:end], known.crc_extra) == frame[end : end + 2]
 
 
 class Signer:
@@ -106,7 +103,7 @@ class Signer:
         self.timestamp = min(max(timestamp_at(time_us), self.timestamp + 1), _LARGEST)
         head = frame[1:2] + bytes((frame[2] | mavlink.MAVLINK_IFLAG_SIGNED,)) + frame[3:-2]
         crc_extra = mavlink.mavlink_map[message_id(frame)].crc_extra
-        signed = frame[:1] + head + _checksum(head, crc_extra) + self._link_id
+        signed = frame[:1] + head + checksum(head, crc_extra) + self._link_id
         signed += self.timestamp.to_bytes(6, "little")
         return signed + self._signature(signed)
 
@@ -141,4 +138,4 @@ def without_signature(frame: bytes) -> bytes | None:
     if known is None:
         return None
     head = frame[1:2] + b"\0" + frame[3 : -SIGNATURE_SIZE - 2]
-    return frame[:1] + head + _checksum(head, known.crc_extra)
+    return frame[:1] + head + checksum(head, known.crc_extra)

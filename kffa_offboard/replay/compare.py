@@ -10,6 +10,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.flightlog.signals import STATE_NAMES, SignalTable, table
+from kffa_offboard.frame_codec import decode
 from kffa_offboard.replay.engine import Replayed
 from kffa_offboard.replay.recording import Frame, Recording
 
@@ -121,7 +122,7 @@ def _close(value: Any, other: Any, tolerance: float) -> bool:
 
 def _values(frame: bytes) -> dict[str, Any]:
     """Fields of a message; arrays entry by entry."""
-    message = mavlink.MAVLink(None).decode(bytearray(frame))
+    message = decode(frame)
     values: dict[str, Any] = {}
     for name in message.get_fieldnames():
         value = getattr(message, name)
@@ -195,8 +196,7 @@ def what_if(recording: Recording, replayed: Replayed) -> WhatIf:
 
 
 def _table(frames: Sequence[Frame]) -> SignalTable:
-    parser = mavlink.MAVLink(None)
-    return table(parser.decode(bytearray(frame)) for _, frame in frames)
+    return table(decode(frame) for _, frame in frames)
 
 
 def _change(signal: str, channel: str, old: Any, new: Any, seconds: Any) -> Change:

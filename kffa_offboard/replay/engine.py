@@ -6,14 +6,13 @@ from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.config import DaemonConfig
 from kffa_offboard.config_log import make_companion, recorded_keeper
 from kffa_offboard.control import Array
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.mavlink.commands import is_timesync_request
-from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.component import Component, Route
 from kffa_offboard.mavlink.session import ProcessRequest, Session
 from kffa_offboard.mavlink.shell import pass_barrier, take_message
 from kffa_offboard.mavlink.transport import Datagram
@@ -67,16 +66,14 @@ class _Collector:
     def __init__(self, route: Route) -> None:
         self.replayed = Replayed()
         self._own = (route.own_system, route.own_component)
-        self._packer = mavlink.MAVLink(None, srcSystem=route.own_system, srcComponent=route.own_component)
+        self._signals = Component(route)
 
     def write(self, time_us: int, frame: bytes) -> None:
         if (frame[5], frame[6]) == self._own:
             self.replayed.sent.append((time_us, frame))
 
     def write_signals(self, signals: Signals) -> None:
-        frame = bytes(to_message(signals).pack(self._packer))
-        self._packer.seq = (self._packer.seq + 1) % 256
-        self.replayed.signals.append((signals.time_us, frame))
+        self.replayed.signals.append((signals.time_us, self._signals.pack(to_message(signals))))
         self.replayed.applied[signals.time_us] = np.array(signals.applied)
 
     def write_begin(self, time_us: int) -> None:

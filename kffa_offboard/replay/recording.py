@@ -13,6 +13,7 @@ from kffa_offboard.flightlog.notes import End, Header, Note, NoteReader, Request
 from kffa_offboard.flightlog.signals import is_signals
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.flightlog.writer import following_parts
+from kffa_offboard.frame_codec import decode
 from kffa_offboard.offboard.events import ProcessReport
 
 Incoming: TypeAlias = tuple[int, Any]
@@ -72,7 +73,6 @@ class _Reader:
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        self._parser = mavlink.MAVLink(None)
         self._notes = NoteReader()
         self._header: Header | None = None
         self._own = (0, 0)
@@ -89,7 +89,7 @@ class _Reader:
             self._last_us = time_us
             return
         try:
-            message = self._parser.decode(bytearray(frame))
+            message = decode(frame)
         except mavlink.MAVError:
             return  # the daemon did not understand it either
         if is_note(message) and (self._header is None or self._is_ours(frame)):
