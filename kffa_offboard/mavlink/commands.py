@@ -37,6 +37,8 @@ ATTITUDE_AND_THRUST = (
 BODY_RATE_LIMIT = math.radians(2000.0)
 """No rate gyro measures more; a setpoint beyond it is a mistake, not a manoeuvre."""
 
+_BODY_RATES = ("body rate p [rad/s]", "body rate q [rad/s]", "body rate r [rad/s]")
+
 TEXT_SIZE = 50
 
 _SEVERITIES = {
@@ -84,8 +86,8 @@ def attitude_target(route: Route, target: AttitudeTarget, time_us: int) -> Messa
 
 
 def _checked_body_rates(body_rates: Vector3) -> Vector3:
-    for axis, rate in zip("pqr", body_rates, strict=True):
-        _check(f"body rate {axis} [rad/s]", rate, -BODY_RATE_LIMIT, BODY_RATE_LIMIT)
+    for name, rate in zip(_BODY_RATES, body_rates, strict=True):
+        _check(name, rate, -BODY_RATE_LIMIT, BODY_RATE_LIMIT)
     return frames.body_rates_to_frd(body_rates)
 
 

@@ -6,6 +6,8 @@ replies.
 
 from __future__ import annotations
 
+from typing import ClassVar
+
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.mavlink.clock import REQUEST_PERIOD_US, ClockEstimate, take_answer, timesync_request
@@ -16,7 +18,17 @@ from kffa_offboard.mavlink.senders import Sender, is_allowed
 from kffa_offboard.mavlink.setpoints import SETPOINTS, SetpointRefused, read_setpoint
 from kffa_offboard.mavlink.signal_streams import SignalStreams, ToArray
 from kffa_offboard.mavlink.timing_reports import TimingReports
-from kffa_offboard.offboard.events import Announce, Event, Output, ProcessReport, Severity, Signals, Trouble
+from kffa_offboard.offboard.events import (
+    Announce,
+    Event,
+    Output,
+    OwnHeartbeat,
+    ProcessReport,
+    RequestRefused,
+    Severity,
+    Signals,
+    Trouble,
+)
 from kffa_offboard.offboard.tuning import Tuning
 
 _PARAMETER_REQUESTS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
@@ -40,6 +52,11 @@ class Companion:
         See `SignalStreams`.
 
     """
+
+    MESSAGES: ClassVar = frozenset(
+        ("COMMAND_LONG", "COMMAND_INT", "TIMESYNC", "PING", *SETPOINTS, *_PARAMETER_REQUESTS)
+    )
+    """What `receive` looks at."""
 
     def __init__(
         self,
@@ -80,7 +97,7 @@ class Companion:
         self._replies += self._parameters.advance(time_us)
 
     def receive(self, time_us: int, message: Message) -> list[Event]:
-        """Take a message from anybody; return what the service is to be told."""
+        """Take one of `MESSAGES` from anybody; return what the service is to be told."""
         kind = message.get_type()
         if kind in ("COMMAND_LONG", "COMMAND_INT"):
             return self._command(time_us, message)
@@ -98,9 +115,10 @@ class Companion:
         """Take note of what the service says."""
         if isinstance(output, Signals):
             self._replies += self._streams.take(output)
-        refused = self._commands.note(output)
-        if refused is not None:
-            self._replies.append(refused)
+        elif isinstance(output, OwnHeartbeat | RequestRefused):
+            refused = self._commands.note(output)
+            if refused is not None:
+                self._replies.append(refused)
 
     def report(self, time_us: int, report: ProcessReport) -> None:
         """Publish what the daemon's own process reports."""

@@ -12,7 +12,6 @@ from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.telemetry import TelemetryDecoder
 from kffa_offboard.offboard.events import (
     AttitudeTarget,
-    Event,
     HeartbeatReceived,
     ModeKind,
     Output,
@@ -94,12 +93,9 @@ class Px4(Autopilot):
         """See `Autopilot`. Taken as asked; 50 and 100 Hz are kept exactly, 200 Hz gives 125."""
         return round(1e6 / rate_hz)
 
-    def decode(self, message: Message) -> list[Event]:
-        """See `Autopilot`."""
-        events = super().decode(message)
-        if self._heartbeats_until_known and any(isinstance(event, HeartbeatReceived) for event in events):
-            self._heartbeats_until_known -= 1
-        return events
+    def _heartbeat(self, message: Message) -> HeartbeatReceived:
+        self._heartbeats_until_known = max(self._heartbeats_until_known - 1, 0)
+        return super()._heartbeat(message)
 
     def encode(self, output: Output, time_us: int) -> list[Message]:
         """See `Autopilot`."""

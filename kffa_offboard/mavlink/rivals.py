@@ -16,6 +16,8 @@ SETPOINTS = frozenset(
     )
 )
 
+_WATCHED = SETPOINTS | {"ATTITUDE", "HEARTBEAT", "SETUP_SIGNING"}
+
 BACK_MS = 250
 """Telemetry that is older than the one before by more than this was not merely overtaken."""
 
@@ -48,6 +50,8 @@ class RivalWatch:
     def watch(self, time_us: int, message: Message) -> IntrusionNoticed | None:
         """What is wrong about a message, or None."""
         kind = message.get_type()
+        if kind not in _WATCHED:
+            return None
         if self._route.from_target(message):
             if kind == "ATTITUDE":
                 return self._watch_time(time_us, message.time_boot_ms)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from operator import methodcaller
 from typing import Literal, Protocol, TypeAlias
 
 from kffa_offboard.mavlink import parameter_keeper
@@ -38,8 +37,6 @@ from kffa_offboard.offboard.events import (
 )
 
 LOG = logging.getLogger(__name__)
-
-_header = methodcaller("get_header")
 
 Observer: TypeAlias = Callable[[int, Event | Output | ProcessReport], None]
 """Is told every event before and every output after the service, with its time [us]; for status lines."""
@@ -177,15 +174,16 @@ class Session:
         if datagram.stranger:
             self._look_at_stranger(datagram, messages)
             return []
-        route = self.route
-        senders = {(header.srcSystem, header.srcComponent) for header in map(_header, messages)}
-        if not senders <= self.heard:
-            self.heard |= senders - {(0, 0)}  # what pymavlink cannot decode has no sender
-        if (route.target_system, route.target_component) in senders:
-            self.link.lock(datagram.source)
-        if (route.own_system, route.own_component) in senders:
-            return self._without_own(messages)
-        return messages
+        route, ours = self.route, False
+        for message in messages:
+            header = message.get_header()
+            sender = header.srcSystem, header.srcComponent
+            if sender not in self.heard and sender != (0, 0):  # what pymavlink cannot decode has no sender
+                self.heard.add(sender)
+            if sender == (route.target_system, route.target_component):
+                self.link.lock(datagram.source)
+            ours = ours or sender == (route.own_system, route.own_component)
+        return self._without_own(messages) if ours else messages
 
     def report_notices(self, time_us: int) -> None:
         """Tell the service what was noticed about the link itself, and record it."""
@@ -216,37 +214,57 @@ class Session:
                 self._notice(f"somebody else is {own[0]}/{own[1]}: a second daemon?", "forbids")
         return others
 
-    def handle(self, time_us: int, message: Message) -> None:
-        """Do what is due before `time_us`, then record one message and tell the service what it says."""
+    def handle(self, time_us: int, message: Message) -> bool:
+        """Do what is due before `time_us`, then record one message and tell the service what it says.
+
+        True if it was a sample of the attitude, which the service has answered.
+        """
         self.advance(time_us)
         if self._recorder is not None:
             self._recorder.write(time_us, bytes(message.get_msgbuf()))
-        from_target = self.route.from_target(message)
-        self.counters.telemetry_received += from_target
+        kind, from_target = message.get_type(), self.route.from_target(message)
         noticed = self._rivals.watch(time_us, message)
         if noticed is not None:
             self.tell(time_us, noticed)
-        self._due_known = False
-        for event in self._vehicle.decode(message) if from_target else ():
-            if isinstance(event, HeartbeatReceived) and self._parameters is not None:
-                self._parameters.heartbeat(time_us, event)
-                self._follow_parameters(time_us)
-            self.tell(time_us, event)
-            if isinstance(event, HeartbeatReceived) and not self.connected:
-                self.connected = True
-                if self._compare_clocks:
-                    self._companion.compare_clocks(time_us)
-                for waiting in self._on_connected:
-                    self.tell(time_us, waiting)
+        if from_target:
+            self.counters.telemetry_received += 1
+            self._handle_target(time_us, kind, message)
+        if kind in Companion.MESSAGES:
+            self._due_known = False
+            for event in self._companion.receive(time_us, message):
+                self.tell(time_us, event)
+        self._reply(time_us)
+        return from_target and kind == "ATTITUDE"
+
+    def _handle_target(self, time_us: int, kind: str, message: Message) -> None:
+        """What a message of the vehicle says to the service, and to the parameter keeper."""
+        for event in self._vehicle.decode(message):
+            if isinstance(event, HeartbeatReceived):
+                self._handle_heartbeat(time_us, event)
+            else:
+                self.tell(time_us, event)
         for request in self._vehicle.requests():
             self._transmit(time_us, request)
-        if self._parameters is not None and from_target:
-            if message.get_type() in parameter_keeper.MESSAGES:
+        if self._parameters is not None:
+            if kind in parameter_keeper.MESSAGES:
+                self._due_known = False
                 self._parameters.receive(time_us, message)
             self._follow_parameters(time_us)
-        for event in self._companion.receive(time_us, message):
-            self.tell(time_us, event)
-        self._reply(time_us)
+
+    def _handle_heartbeat(self, time_us: int, event: HeartbeatReceived) -> None:
+        """The first one is what others wait for."""
+        self._due_known = False
+        if self._parameters is not None:
+            self._parameters.heartbeat(time_us, event)
+            self._follow_parameters(time_us)
+        self.tell(time_us, event)
+        if not self.connected:
+            self.connected = True
+            self._due_known = False
+            if self._compare_clocks:
+                self._companion.compare_clocks(time_us)
+            for waiting in self._on_connected:
+                self.tell(time_us, waiting)
 
     def tell(self, time_us: int, event: Event) -> None:
         """Do what is due before `time_us`, then hand an event to the service and send what it answers."""

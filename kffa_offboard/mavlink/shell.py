@@ -144,8 +144,7 @@ class RealTimeLoop:
         self._watch_deadline(self._due_us)
         for datagram in datagrams:
             for message in session.read(datagram):
-                take_message(session, datagram.time_us, message)
-                if message.get_type() == "ATTITUDE" and session.route.from_target(message):
+                if take_message(session, datagram.time_us, message):
                     self._watch.step(datagram.time_us - datagram.waited_us, self._clock())
             session.report_notices(datagram.time_us)
         if not session.done:
@@ -191,10 +190,14 @@ def run_real_time(
     return loop.result()
 
 
-def take_message(session: Session, time_us: int, message: Message) -> None:
-    """What a message does in real time: it is handled, and a TIMESYNC request answered with our own time."""
-    session.handle(time_us, message)
+def take_message(session: Session, time_us: int, message: Message) -> bool:
+    """What a message does in real time: it is handled, and a TIMESYNC request answered with our own time.
+
+    True if it was a sample of the attitude.
+    """
+    sample = session.handle(time_us, message)
     session.answer_timesync(time_us, message, time_us * 1000)
+    return sample
 
 
 def pass_barrier(session: Session, time_us: int, request: Message) -> None:

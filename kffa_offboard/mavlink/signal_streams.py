@@ -9,6 +9,7 @@ the controller's axes and units.
 from __future__ import annotations
 
 from collections.abc import Callable
+from operator import attrgetter
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -29,18 +30,19 @@ SIGNAL_NAMES = {
 }
 """Ending of a name on the wire -> field of `Signals`; with the channel before it 10 characters at most."""
 
+_NAMED = tuple(
+    (f"{channel}_{ending}", attrgetter(name), k)
+    for ending, name in SIGNAL_NAMES.items()
+    for k, channel in enumerate(CHANNEL_NAMES)
+)
+
 ToArray = Callable[[Signals], Message]
 """Packs signals as DEBUG_FLOAT_ARRAY; it belongs to the log, which this layer does not know."""
 
 
 def named_values(signals: Signals) -> list[tuple[str, float]]:
     """Names and values: ``ROLL_REF``, ..., ``ALT_CMD``, and ``LATENCY_S``."""
-    values = [
-        (f"{channel}_{ending}", float(getattr(signals, name)[k]))
-        for ending, name in SIGNAL_NAMES.items()
-        for k, channel in enumerate(CHANNEL_NAMES)
-    ]
-    return [*values, ("LATENCY_S", signals.latency_s)]
+    return [*((name, block(signals)[k]) for name, block, k in _NAMED), ("LATENCY_S", signals.latency_s)]
 
 
 def named_messages(signals: Signals) -> list[Message]:

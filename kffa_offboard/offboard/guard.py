@@ -73,7 +73,7 @@ def _clip(value: float, lower: float, upper: float) -> float:
 
 
 def _slew(value: float, previous: float, change: float) -> float:
-    return _clip(value, previous - change, previous + change)
+    return min(max(value, previous - change), previous + change)
 
 
 def tilt(attitude: Vector3) -> float:

@@ -107,23 +107,28 @@ class Service(ControlSession):
         self._now_us = time_us
 
     def _next(self) -> Deadline:
-        """The earliest deadline; looked for again after what may change it, an event or a deadline."""
-        self._earliest = min(self._deadlines(), key=itemgetter(0))
+        """The earliest deadline; looked for again after what may change it, an event or a deadline.
+
+        What follows a control step comes first: all that was due by the time of the step is done.
+        """
+        if self._stepped is not None:
+            self._earliest = self._stepped[1].trace.time_us, self._follow_step
+        else:
+            self._earliest = min(self._deadlines(), key=itemgetter(0))
         return self._earliest
 
     def _deadlines(self) -> list[Deadline]:
-        """All that is due some time; of two at the same time the first in the list goes first."""
-        settings, known = self.settings, self._known
+        """All else that is due some time; of two at the same time the first in the list goes first."""
+        settings, known, sending = self.settings, self._known, self.state in SENDING
         deadlines: list[Deadline] = []
-        if self._stepped is not None:
-            deadlines.append((self._stepped[1].trace.time_us, self._follow_step))
-        if self.state in SENDING or self.state is State.READY:
-            for stream, limit_s, silent in (
-                (known.attitude_stream, settings.telemetry.timeout_s, self._no_attitude),
-                (known.position_stream, settings.telemetry.position_timeout_s, self._no_position),
-            ):
-                if stream.arrival_us is not None:
-                    deadlines.append((stream.arrival_us + microseconds(limit_s), silent))
+        if sending or self.state is State.READY:
+            attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us
+            if attitude_us is not None:
+                silent_us = attitude_us + microseconds(settings.telemetry.timeout_s)
+                deadlines.append((silent_us, self._no_attitude))
+            if position_us is not None:
+                silent_us = position_us + microseconds(settings.telemetry.position_timeout_s)
+                deadlines.append((silent_us, self._no_position))
         if known.heartbeat is not None:
             lost_us = known.heartbeat_us + microseconds(settings.telemetry.heartbeat_timeout_s)
             deadlines.append((lost_us, self._heartbeat_lost))
@@ -131,7 +136,7 @@ class Service(ControlSession):
             deadlines.append((engagement_due(self._engagement), self._run_engagement))
         if self._retry is not None:
             deadlines.append((retry_due(self._retry), self._run_release))
-        if self.state in SENDING and self._loop is not None and self._loop.sent is not None:
+        if sending and self._loop is not None and self._loop.sent is not None:
             deadlines.append((self._loop.sent_us + microseconds(settings.sequence.resend_s), self._resend))
         deadlines += self._payload_deadlines()
         if self._request_us is not None:

@@ -17,8 +17,8 @@ class State(Enum):
     FAILSAFE = "failsafe"
 
 
-SENDING = frozenset({State.ENGAGING, State.ENGAGED, State.RELEASING})
-IDLE = frozenset({State.WAITING, State.READY})
+SENDING = (State.ENGAGING, State.ENGAGED, State.RELEASING)
+IDLE = (State.WAITING, State.READY)
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,6 +21,7 @@ from kffa_offboard.offboard.events import (
     TargetReported,
     ThrottleReported,
 )
+from kffa_offboard.offboard.sequence import microseconds
 from kffa_offboard.offboard.settings import LimitSettings, TelemetrySettings
 
 _WINDOW_US = 1_000_000  # over which rates are measured
@@ -168,9 +169,8 @@ def _steady_since(settings: TelemetrySettings, known: Telemetry, time_us: int) -
     attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us
     if attitude_us is None or position_us is None:
         return known.steady_since_us
-    if time_us - attitude_us >= round(settings.timeout_s * 1e6) or time_us - position_us >= round(
-        settings.position_timeout_s * 1e6
-    ):
+    silent = time_us - attitude_us >= microseconds(settings.timeout_s)
+    if silent or time_us - position_us >= microseconds(settings.position_timeout_s):
         return time_us
     return known.steady_since_us if known.steady_since_us is not None else time_us
 
@@ -225,7 +225,7 @@ def receive_throttle(known: Telemetry, time_us: int, event: ThrottleReported) ->
 
 def reported_target(settings: TelemetrySettings, known: Telemetry, time_us: int) -> TargetReported | None:
     """The autopilot's own target, unless it is too old."""
-    fresh = time_us - known.target_us <= round(settings.report_timeout_s * 1e6)
+    fresh = time_us - known.target_us <= microseconds(settings.report_timeout_s)
     return known.target if fresh else None
 
 
@@ -234,7 +234,7 @@ def reported_thrust(settings: TelemetrySettings, known: Telemetry, time_us: int)
     target = reported_target(settings, known, time_us)
     if target is not None and target.thrust is not None:
         return target.thrust
-    fresh = time_us - known.throttle_us <= round(settings.report_timeout_s * 1e6)
+    fresh = time_us - known.throttle_us <= microseconds(settings.report_timeout_s)
     return known.throttle if fresh else None
 
 
@@ -249,7 +249,9 @@ def not_ready(settings: TelemetrySettings, known: Telemetry, time_us: int) -> st
         rate, needed = rate_hz(stream, time_us), settings.rate_fraction * minimum
         if rate < needed:
             return f"{name} telemetry {rate:.0f} Hz, {needed:.0f} needed"
-    if known.steady_since_us is None or time_us - known.steady_since_us < round(settings.settle_time_s * 1e6):
+    if known.steady_since_us is None or time_us - known.steady_since_us < microseconds(
+        settings.settle_time_s
+    ):
         return "estimates are settling"
     return None
 

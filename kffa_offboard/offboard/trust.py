@@ -20,6 +20,7 @@ from math import cos, exp, hypot, sin, tan
 from typing import NamedTuple
 
 from kffa_offboard.offboard.events import AttitudeReceived, PositionReceived, Vector3
+from kffa_offboard.offboard.sequence import microseconds
 from kffa_offboard.offboard.settings import LimitSettings, TelemetrySettings
 from kffa_offboard.offboard.telemetry import Telemetry
 
@@ -68,29 +69,46 @@ class Delay(NamedTuple):
     late_since_us: int | None = None
 
 
-class Trust(NamedTuple):
-    """What is remembered of telemetry for judging it.
+class AttitudeTrust(NamedTuple):
+    """What is remembered of the attitude.
 
     Attributes
     ----------
-    attitude, position : the last samples
-    still_attitude, still_position : since when their values are the same
-    delay : of the attitude
-    angle_mismatch, quick_angle_mismatch : rad, roll and pitch less their integrated rates, fading
-    height_mismatch, quick_height_mismatch : m, the same for height
+    last : sample
+    still : since when the values are the same
+    delay : of the samples
+    slow, quick : rad, roll and pitch less their integrated rates, fading
+    """
+
+    last: AttitudeReceived | None = None
+    still: Still = Still()
+    delay: Delay = Delay()
+    slow: tuple[float, float] = (0.0, 0.0)
+    quick: tuple[float, float] = (0.0, 0.0)
+
+
+class PositionTrust(NamedTuple):
+    """What is remembered of the position.
+
+    Attributes
+    ----------
+    last, still : as of the attitude
+    slow, quick : m, height less its integrated rate, fading
     odd_since_us : sample time since when no climb rate fits; None if the last one did
     """
 
-    attitude: AttitudeReceived | None = None
-    position: PositionReceived | None = None
-    still_attitude: Still = Still()
-    still_position: Still = Still()
-    delay: Delay = Delay()
-    angle_mismatch: tuple[float, float] = (0.0, 0.0)
-    quick_angle_mismatch: tuple[float, float] = (0.0, 0.0)
-    height_mismatch: float = 0.0
-    quick_height_mismatch: float = 0.0
+    last: PositionReceived | None = None
+    still: Still = Still()
+    slow: float = 0.0
+    quick: float = 0.0
     odd_since_us: int | None = None
+
+
+class Trust(NamedTuple):
+    """What is remembered of telemetry for judging it."""
+
+    attitude: AttitudeTrust = AttitudeTrust()
+    position: PositionTrust = PositionTrust()
 
 
 def watch_attitude(
@@ -105,24 +123,14 @@ def watch_attitude(
     fastest = max(map(abs, event.body_rates))
     if fastest > limits.attitude_rate_max_rad_s:
         return trust, f"body rate {fastest:.3g} rad/s, {limits.attitude_rate_max_rad_s:g} possible"
-    delay, fault = _follow_delay(settings, trust.delay, time_us, event.sample_time_us)
-    still = _stand_still(trust.still_attitude, (*event.attitude, *event.body_rates), time_us)
-    slow, quick = _angle_mismatch(trust, event)
-    trust = Trust(  # quicker than _replace
-        attitude=event,
-        position=trust.position,
-        still_attitude=still,
-        still_position=trust.still_position,
-        delay=delay,
-        angle_mismatch=slow,
-        quick_angle_mismatch=quick,
-        height_mismatch=trust.height_mismatch,
-        quick_height_mismatch=trust.quick_height_mismatch,
-        odd_since_us=trust.odd_since_us,
-    )
+    before = trust.attitude
+    delay, fault = _follow_delay(settings, before.delay, time_us, event.sample_time_us)
+    still = _stand_still(before.still, (*event.attitude, *event.body_rates), time_us)
+    slow, quick = _angle_mismatch(before, event)
+    trust = Trust(AttitudeTrust(event, still, delay, slow, quick), trust.position)
     if fault is not None:
         return trust, fault
-    if flying and time_us - still.since_us > round(settings.frozen_time_s * 1e6):
+    if flying and time_us - still.since_us > microseconds(settings.frozen_time_s):
         return trust, f"attitude stands still for {settings.frozen_time_s:g} s"
     if hypot(*slow) > ANGLE_MISMATCH_RAD or hypot(*quick) > QUICK_ANGLE_MISMATCH_RAD:
         return trust, "body rates do not fit the attitude"
@@ -144,25 +152,17 @@ def watch_position(
     climb_rate = abs(event.velocity[2])
     if climb_rate > limits.climb_rate_max_m_s:
         return trust, True, f"climb rate {climb_rate:.3g} m/s, {limits.climb_rate_max_m_s:g} allowed"
-    odd = _climb_rate_jump(trust.position, event)
+    before = trust.position
+    odd = _climb_rate_jump(before.last, event)
     if odd is not None:
-        since_us = event.sample_time_us if trust.odd_since_us is None else trust.odd_since_us
-        lasts = event.sample_time_us - since_us >= round(PASSED_OVER_MAX_S * 1e6)
-        return trust._replace(odd_since_us=since_us), False, odd if lasts else None
-    still = _stand_still(trust.still_position, (*event.position, *event.velocity), time_us)
-    slow, quick = _height_mismatch(trust, event)
-    trust = Trust(
-        attitude=trust.attitude,
-        position=event,
-        still_attitude=trust.still_attitude,
-        still_position=still,
-        delay=trust.delay,
-        angle_mismatch=trust.angle_mismatch,
-        quick_angle_mismatch=trust.quick_angle_mismatch,
-        height_mismatch=slow,
-        quick_height_mismatch=quick,
-    )
-    if flying and time_us - still.since_us > round(settings.frozen_time_s * 1e6):
+        since_us = event.sample_time_us if before.odd_since_us is None else before.odd_since_us
+        lasts = event.sample_time_us - since_us >= microseconds(PASSED_OVER_MAX_S)
+        trust = Trust(trust.attitude, before._replace(odd_since_us=since_us))
+        return trust, False, odd if lasts else None
+    still = _stand_still(before.still, (*event.position, *event.velocity), time_us)
+    slow, quick = _height_mismatch(before, event)
+    trust = Trust(trust.attitude, PositionTrust(event, still, slow, quick))
+    if flying and time_us - still.since_us > microseconds(settings.frozen_time_s):
         return trust, True, f"position stands still for {settings.frozen_time_s:g} s"
     if abs(slow) > HEIGHT_MISMATCH_M or abs(quick) > QUICK_HEIGHT_MISMATCH_M:
         return trust, True, "climb rate does not fit the altitude"
@@ -187,15 +187,15 @@ def _follow_delay(
     if state.window_us is None:
         return Delay(time_us, delay_us, delay_us), None
     excess_us = delay_us - min(state.smallest_us, state.former_us)
-    if excess_us > round(settings.late_max_s * 1e6):
+    if excess_us > microseconds(settings.late_max_s):
         since_us = time_us if state.late_since_us is None else state.late_since_us
         fault = None
-        if time_us - since_us >= round(settings.timeout_s * 1e6):
+        if time_us - since_us >= microseconds(settings.timeout_s):
             fault = f"attitude comes {excess_us * 1e-6:.2f} s later than before"
         return state._replace(late_since_us=since_us), fault
     if time_us - state.window_us >= DELAY_WINDOW_US:
         return Delay(time_us, delay_us, state.smallest_us), None
-    return state._replace(smallest_us=min(state.smallest_us, delay_us), late_since_us=None), None
+    return Delay(state.window_us, min(state.smallest_us, delay_us), state.former_us), None
 
 
 def _euler_rates(event: AttitudeReceived) -> tuple[float, float]:
@@ -205,18 +205,20 @@ def _euler_rates(event: AttitudeReceived) -> tuple[float, float]:
     return p + tan(pitch) * (q * sine + r * cosine), q * cosine - r * sine
 
 
-def _angle_mismatch(trust: Trust, event: AttitudeReceived) -> tuple[tuple[float, float], tuple[float, float]]:
+def _angle_mismatch(
+    before: AttitudeTrust, event: AttitudeReceived
+) -> tuple[tuple[float, float], tuple[float, float]]:
     """Slow and quick, of roll and pitch."""
-    last = trust.attitude
+    last = before.last
     if last is None or max(_tilt(last.attitude), _tilt(event.attitude)) > _STEEPEST_RAD:
         return (0.0, 0.0), (0.0, 0.0)
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
-    before, now = _euler_rates(last), _euler_rates(event)
-    roll = event.attitude[0] - last.attitude[0] - 0.5 * dt * (before[0] + now[0])
-    pitch = event.attitude[1] - last.attitude[1] - 0.5 * dt * (before[1] + now[1])
+    then, now = _euler_rates(last), _euler_rates(event)
+    roll = event.attitude[0] - last.attitude[0] - 0.5 * dt * (then[0] + now[0])
+    pitch = event.attitude[1] - last.attitude[1] - 0.5 * dt * (then[1] + now[1])
     keep, keep_quick = exp(-dt / ANGLE_MEMORY_S), exp(-dt / QUICK_ANGLE_MEMORY_S)
     most = min(QUICK_ANGLE_RATE_RAD_S * dt, QUICK_ANGLE_STEP_RAD)
-    slow, quick = trust.angle_mismatch, trust.quick_angle_mismatch
+    slow, quick = before.slow, before.quick
     return (
         (keep * slow[0] + roll, keep * slow[1] + pitch),
         (keep_quick * quick[0] + _bounded(roll, most), keep_quick * quick[1] + _bounded(pitch, most)),
@@ -231,9 +233,9 @@ def _bounded(value: float, most: float) -> float:
     return min(max(value, -most), most)
 
 
-def _height_mismatch(trust: Trust, event: PositionReceived) -> tuple[float, float]:
+def _height_mismatch(before: PositionTrust, event: PositionReceived) -> tuple[float, float]:
     """Slow and quick."""
-    last = trust.position
+    last = before.last
     if last is None:
         return 0.0, 0.0
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
@@ -241,8 +243,8 @@ def _height_mismatch(trust: Trust, event: PositionReceived) -> tuple[float, floa
     off = event.position[2] - last.position[2] - reckoned
     most = min(QUICK_HEIGHT_RATE_M_S * dt, QUICK_HEIGHT_STEP_M)
     return (
-        exp(-dt / HEIGHT_MEMORY_S) * trust.height_mismatch + off,
-        exp(-dt / QUICK_HEIGHT_MEMORY_S) * trust.quick_height_mismatch + _bounded(off, most),
+        exp(-dt / HEIGHT_MEMORY_S) * before.slow + off,
+        exp(-dt / QUICK_HEIGHT_MEMORY_S) * before.quick + _bounded(off, most),
     )
 
 
