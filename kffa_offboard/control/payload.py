@@ -21,10 +21,10 @@ All arrays are scalars ``()`` for one vehicle or ``(N,)`` for a batch.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from math import exp, isinf
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -261,6 +261,12 @@ def _correct(parameters: PayloadParameters, state: PayloadState, rate: Array) ->
     )
 
 
+def write_out(parameters: PayloadParameters) -> None:
+    """Trace the step of one vehicle, which otherwise is done in the first ones."""
+    for fresh in (False, True):
+        _straight(parameters, fresh)
+
+
 _NUMBERS = 10  # of a state, beside the commands under way
 
 
@@ -284,9 +290,22 @@ def _straight_step(
     return state._replace(settled=followed), PayloadEstimate(mass, std, 0.0)  # type: ignore[arg-type]
 
 
+_Function: TypeAlias = Callable[..., tuple[float, ...]]
+_functions: dict[tuple[float, ...], _Function] = {}
+
+
 @lru_cache(maxsize=16)
-def _straight(parameters: PayloadParameters, fresh: bool) -> Callable[..., tuple[float, ...]]:
+def _straight(parameters: PayloadParameters, fresh: bool) -> _Function:
     """`_filter` and what is done while nothing is suspected, written out (`tracing`)."""
+    numbers = [getattr(parameters, one.name) for one in fields(parameters)]
+    numbers = [number for number in numbers if isinstance(number, float)]
+    key = (fresh, parameters.actuator.longest_lag, parameters.detection.slack, *numbers)
+    if key not in _functions:
+        _functions[key] = _written_out(parameters, fresh)
+    return _functions[key]
+
+
+def _written_out(parameters: PayloadParameters, fresh: bool) -> _Function:
     tape = Tape()
     numbers = tape.inputs("x", (_NUMBERS + 5,))
     state = PayloadState(actuator.initial_state(np.zeros(1)), *numbers[:_NUMBERS])

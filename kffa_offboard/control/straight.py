@@ -131,16 +131,17 @@ def law(parameters: ControllerParameters, with_rate: bool) -> Law:
     return Law(parameters, with_rate)
 
 
+def can_be_straight(parameters: ControllerParameters) -> bool:
+    """Are most steps of this controller made by a function of floats?"""
+    return parameters.pid is None and parameters.differentiator is not None
+
+
 def is_straight(parameters: ControllerParameters, state: ControllerState, dt: float) -> bool:
-    """Can this step be made by a function of floats?"""
-    differentiator = parameters.differentiator
-    return (
-        parameters.pid is None
-        and state.expected is None
-        and state.observer.estimate.ndim == 1
-        and differentiator is not None
-        and 2.0 * dt <= differentiator.filter_time
-    )
+    """Is this step made by a function of floats?"""
+    if state.expected is not None or state.observer.estimate.ndim != 1 or not can_be_straight(parameters):
+        return False
+    assert parameters.differentiator is not None
+    return 2.0 * dt <= parameters.differentiator.filter_time
 
 
 def step(

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from kffa_offboard.control import Array
 from kffa_offboard.offboard import telemetry
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
-from kffa_offboard.offboard.loop import LoopStep, Order, prepare_next, signals, step_loop
+from kffa_offboard.offboard.loop import LoopStep, Order, prepare_next, signals, step_loop, write_out
 from kffa_offboard.offboard.request_session import RequestSession
 from kffa_offboard.offboard.sequence import EngagePhase, microseconds, mode_granted
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -22,6 +22,7 @@ class ControlSession(RequestSession):
 
     def __init__(self, settings: ServiceSettings) -> None:
         super().__init__(settings)
+        write_out(settings)
         self._flown: Mapping[int, Array] = {}
         self._stepped: tuple[Order, LoopStep] | None = None
         self._last_dt = 0.0

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kffa_offboard.control import Array, controllers
+from kffa_offboard.control import Array, controllers, payload
 from kffa_offboard.control.rotation import body_rates_of, euler_rates_of, wrap_angle
 from kffa_offboard.offboard.carrying import Carrying, follow
 from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
@@ -133,6 +133,15 @@ class LoopStep(NamedTuple):
     target: AttitudeTarget | None
     trace: Trace
     fault: str | None = None
+
+
+def write_out(settings: ServiceSettings) -> None:
+    """Do before the first sample what takes longest in the first steps: `control.straight`."""
+    controllers.write_out(settings.controller, with_rate=True)
+    if settings.position is not None:
+        controllers.write_out(settings.position.ring.controller, with_rate=True)
+    if settings.payload is not None:
+        payload.write_out(settings.payload.estimator)
 
 
 def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> LoopState | None:
