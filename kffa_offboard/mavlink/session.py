@@ -393,16 +393,18 @@ class Session:
         refusal: str | None = None
         for output in outputs:
             self._observe(time_us, output)
-            if isinstance(output, Signals) and self._recorder is not None:
-                self._recorder.write_signals(output)
-            try:
-                messages = self._vehicle.encode(output, time_us)
-            except EncodingError as error:
-                refusal = str(error)
-                continue
-            for message in messages:
-                sent = self._transmit(time_us, message)
-                self.counters.commands_sent += sent and isinstance(output, AttitudeTarget)
+            if isinstance(output, Signals):
+                if self._recorder is not None:
+                    self._recorder.write_signals(output)
+            else:
+                try:
+                    messages = self._vehicle.encode(output, time_us)
+                except EncodingError as error:
+                    refusal = str(error)
+                    continue
+                for message in messages:
+                    sent = self._transmit(time_us, message)
+                    self.counters.commands_sent += sent and isinstance(output, AttitudeTarget)
             self._companion.note(output)
         if refusal is not None and self.refusal is None:
             # A service that asks for something unsendable must not keep control: once, it has to let go.
@@ -417,12 +419,9 @@ class Session:
             self.counters.frames_dropped += 1
             return False
         self.counters.frames_sent += 1
-        self._record(time_us, frame)
-        return True
-
-    def _record(self, time_us: int, frame: bytes) -> None:
         if self._recorder is not None:
             self._recorder.write(time_us, frame)
+        return True
 
     def _observe(self, time_us: int, item: Event | Output | ProcessReport) -> None:
         if self._observer is not None:

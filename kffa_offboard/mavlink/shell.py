@@ -141,16 +141,17 @@ class RealTimeLoop:
     def turn(self, datagrams: Sequence[Datagram]) -> None:
         """Handle what arrived, do what is due, report."""
         session = self.session
-        self._watch_deadline(self._due_us)
+        self._watch_deadline(self._due_us, self._clock())
         for datagram in datagrams:
             for message in session.read(datagram):
                 if take_message(session, datagram.time_us, message):
                     self._watch.step(datagram.time_us - datagram.waited_us, self._clock())
             session.report_notices(datagram.time_us)
         if not session.done:
+            now_us = self._clock()
             if datagrams:
-                self._watch_deadline(session.next_deadline())
-            session.advance(self._clock())
+                self._watch_deadline(session.next_deadline(), now_us)
+            session.advance(now_us)
         self._turned_us = self._clock()
         for report in self._watch.turned(self._turned_us):
             session.report(self._turned_us, report)
@@ -163,9 +164,8 @@ class RealTimeLoop:
             session.report(self._clock(), report)
         return RunResult(session.counters, session.service.finished, self._stop.is_set(), session.refusal)
 
-    def _watch_deadline(self, due_us: int | None) -> None:
+    def _watch_deadline(self, due_us: int | None, now_us: int) -> None:
         """What was due by the last turn was done then, so nothing can be later than since then."""
-        now_us = self._clock()
         if due_us is not None and due_us <= now_us and due_us != self._watched_us:
             self._watched_us = due_us
             self._watch.deadline(max(due_us, self._turned_us), now_us)
