@@ -28,9 +28,9 @@ from typing import TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.compare.firmware_end import FirmwareEnd
+from kffa_offboard.compare.limits import FlightCut
 from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
 from kffa_offboard.mavlink.transport import Datagram
-from kffa_offboard.trials.metrics import FlightFailed
 
 POLL_S = 0.1
 FIRMWARE_ANSWER_S = 0.5
@@ -84,9 +84,9 @@ class Bridge:
         self.trouble = ""
 
     def check(self) -> None:
-        """Raises FlightFailed if the daemon fell silent in the middle of the flight."""
+        """Raises FlightCut if the daemon fell silent in the middle of the flight."""
         if self.trouble:
-            raise FlightFailed(self.trouble)
+            raise FlightCut(self.trouble)
 
     @property
     def time_s(self) -> float:

@@ -16,6 +16,7 @@ from kffa_offboard.compare.firmware import find_firmware
 from kffa_offboard.compare.flight import Progress as ShowProgress
 from kffa_offboard.compare.flight import fly
 from kffa_offboard.compare.joining import check_join, joined
+from kffa_offboard.compare.limits import FlightCut
 from kffa_offboard.compare.measure import LoadFigures, measure_load, measure_steps
 from kffa_offboard.compare.plan import ComparePlan, Join, Trial, trials
 from kffa_offboard.compare.report import Drawing, report
@@ -127,7 +128,7 @@ def _fly_one(setup: Setup, trial: Trial, show: ShowProgress) -> Result:
         load = measure_load(truth)
         return Result(trial, flown, truth, load=load, estimate=_estimate(setup, trial, truth, load))
     except FlightFailed as failure:
-        return Result(trial, failure=str(failure))
+        return Result(trial, failure=str(failure), cut=isinstance(failure, FlightCut))
 
 
 def _estimate(setup: Setup, trial: Trial, truth: Truth, load: LoadFigures) -> EstimateFigures | None:

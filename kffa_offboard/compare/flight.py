@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from kffa_offboard.compare.course import course
+from kffa_offboard.compare.limits import Watch
 from kffa_offboard.compare.pilot import Phase, Pilot, Version
 from kffa_offboard.compare.plan import END_S, HEIGHT_M, NORMAL_DELAY_S, Trial
 from kffa_offboard.compare.simulation import Setup, Simulation, simulation
@@ -22,12 +24,6 @@ from kffa_offboard.mavlink.link import open_link
 from kffa_offboard.mavlink.shell import real_time_clock
 from kffa_offboard.trials.metrics import FlightFailed
 from kffa_offboard.trials.processes import Listener, process
-
-WALL_LIMIT_S = 300.0
-"""A trial that takes longer than this has failed."""
-
-BOOT_LIMIT_S = 120.0
-"""Until the firmware's first frame, and until the physics' first true state."""
 
 STILL_ARMED = "disarming was refused"
 """The daemon's reason for an ending after touch-down."""
@@ -72,17 +68,17 @@ def _fly_native(setup: Setup, trial: Trial, running: Simulation, progress: Progr
     component, parser = Component(pilot.route), FrameParser(keeps_frames_whole=True)
     clock = real_time_clock()
     link = open_link(running.url, clock)
-    began, hello_at, shown_at = time.monotonic(), 0.0, 0.0
+    watch, hello_at, shown_at = Watch(running.time_s), 0.0, 0.0
     try:
         while pilot.phase is not Phase.DONE:
             now = time.monotonic()
-            _check_wall_time(pilot.complaint, pilot.phase is Phase.WAITING, now - began)
             running.check()
             if pilot.phase is Phase.WAITING and now >= hello_at:  # a vehicle in lock-step waits for us
                 hello_at = now + HELLO_S
                 link.send(component.pack(pilot.hello()))
             if now >= shown_at:
                 shown_at = now + POLL_S
+                watch.see(running.time_s, pilot.complaint)
                 progress(running.time_s, pilot.phase.name.lower())
             for datagram in link.receive(POLL_S):
                 for message in [] if datagram.stranger else parser.parse(datagram):
@@ -95,12 +91,6 @@ def _fly_native(setup: Setup, trial: Trial, running: Simulation, progress: Progr
         log = setup.file(trial, "-pilot.log")
         log.write_text("".join(f"{text}\n" for text in pilot.texts), encoding="utf-8")
     return Flown(pilot.version, tuple(pilot.texts))
-
-
-def _check_wall_time(complaint: Callable[[str], str], waiting: bool, elapsed_s: float) -> None:
-    limit = BOOT_LIMIT_S if waiting else WALL_LIMIT_S
-    if elapsed_s > limit:
-        raise FlightFailed(complaint(f"within {limit:g} s of wall time"))
 
 
 def _fly_daemon(setup: Setup, trial: Trial, running: Simulation, progress: Progress) -> str | None:
@@ -126,13 +116,10 @@ def _fly_daemon(setup: Setup, trial: Trial, running: Simulation, progress: Progr
     ]
     with process(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as daemon:
         listener = Listener(daemon.stderr, setup.file(trial, "-daemon.log"))
-        began = time.monotonic()
+        watch = Watch(running.time_s)
         while daemon.poll() is None:
             running.check()
-            if time.monotonic() - began > WALL_LIMIT_S:
-                raise FlightFailed(
-                    f"not on the ground after {WALL_LIMIT_S:g} s; the daemon's last word: {listener.latest}"
-                )
+            watch.see(running.time_s, lambda limit: f"{limit}; the daemon's last word: {listener.latest}")
             progress(running.time_s, listener.latest)
             with contextlib.suppress(subprocess.TimeoutExpired):
                 daemon.wait(POLL_S)
@@ -152,15 +139,11 @@ def _fly_daemon(setup: Setup, trial: Trial, running: Simulation, progress: Progr
 
 
 def wait_for_head_start(running: Simulation, progress: Progress) -> None:
-    """Let the firmware boot and its estimator settle. Raises FlightFailed if time does not pass."""
-    began = time.monotonic()
+    """Let the firmware boot and its estimator settle. Raises FlightCut if time does not pass."""
+    watch = Watch(running.time_s, math.inf)
     while running.time_s < running.head_start_s:
         running.check()
-        if time.monotonic() - began > BOOT_LIMIT_S:
-            raise FlightFailed(
-                f"only {running.time_s:.1f} s of simulated time passed in {BOOT_LIMIT_S:g} s: the firmware "
-                "did not boot, or the machine is too slow; see the logs"
-            )
+        watch.see(running.time_s, lambda limit: f"the firmware does not boot: {limit}; see its log")
         progress(running.time_s, "the firmware boots")
         time.sleep(POLL_S)
 

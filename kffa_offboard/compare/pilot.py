@@ -13,13 +13,13 @@ from enum import Enum
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.compare.limits import FlightCut
 from kffa_offboard.compare.plan import AutopilotName
 from kffa_offboard.mavlink import commands
 from kffa_offboard.mavlink.autopilot import result_name
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.px4 import custom_mode
 from kffa_offboard.offboard.events import OwnHeartbeat, SetArmed
-from kffa_offboard.trials.metrics import FlightFailed
 
 GUIDED, COPTER_LAND = 4, 9
 PX4_LOITER, PX4_LAND = (4, 3), (4, 6)
@@ -150,7 +150,7 @@ class Pilot:
         self.phase, self._phase_since_s, self._asked_s = phase, self._now_s, -math.inf
 
     def _act(self) -> list[Message]:
-        """What this moment needs; raises FlightFailed if a phase takes too long."""
+        """What this moment needs; raises FlightCut if a phase takes too long."""
         messages = []
         if self._now_s - self._heartbeat_s >= HEARTBEAT_S:
             self._heartbeat_s = self._now_s
@@ -171,14 +171,14 @@ class Pilot:
 
     def _within(self, limit_s: float) -> None:
         if self._now_s - self._phase_since_s > limit_s:
-            raise FlightFailed(self.complaint(f"within {limit_s:g} s"))
+            raise FlightCut(self.complaint(f"within {limit_s:g} s"))
 
-    def complaint(self, when: str) -> str:
-        """What went wrong, with the vehicle's own words."""
+    def complaint(self, limit: str) -> str:
+        """What went wrong, with the limit that ended it and the vehicle's own words."""
         said = next((text for text in reversed(self.texts) if _is_reason(text)), "")
         said = said or (self.texts[-1] if self.texts else "")
         reasons = [reason for reason in (said, self._refusal) if reason]
-        return f"{self._autopilot}: {self.phase.value} {when}" + (
+        return f"{self._autopilot}: {self.phase.value} {limit}" + (
             f": {'; '.join(reasons)}" if reasons else ""
         )
 

@@ -181,13 +181,16 @@ def _setup(plan: ComparePlan, results: Sequence[Result]) -> str:
         "without fuzzy rules and Kalman filter. All of them know delay and lag where they can use them. "
         f"Output {DEFAULT_OUTPUT[plan.autopilot]} unless the row says otherwise.",
     ]
-    failed = [f"{result.trial.label}: {result.failure}" for result in results if result.failure]
     items += [
         f"{escape(result.trial.label)}: {escape(result.flown.remark)}."
         for result in results
         if result.flown is not None and result.flown.remark is not None
     ]
-    items += [f"Not flown: {escape(text)}." for text in failed]
+    items += [
+        f"No figures of {escape(result.label)}: {escape(result.failure)}."
+        for result in results
+        if result.failure
+    ]
     return "<ul>" + "".join(f"<li>{item}</li>" for item in items) + "</ul>"
 
 

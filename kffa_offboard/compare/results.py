@@ -15,7 +15,10 @@ from kffa_offboard.trials.metrics import Truth
 
 @dataclass(frozen=True)
 class Result:
-    """One trial, flown and measured; `failure` says why not, and then the rest is None."""
+    """One trial, flown and measured.
+
+    `failure` says why not, and then there are no figures; `cut`: the reason is a limit of ours (`limits`).
+    """
 
     trial: Trial
     flown: Flown | None = None
@@ -24,6 +27,13 @@ class Result:
     steps: tuple[StepFigures, ...] = ()
     estimate: EstimateFigures | None = None
     failure: str | None = None
+    cut: bool = False
+
+    @property
+    def label(self) -> str:
+        """The trial's, with a mark if there are no figures of it."""
+        mark = "" if self.failure is None else " (cut off)" if self.cut else " (failed)"
+        return self.trial.label + mark
 
 
 @dataclass(frozen=True)
@@ -140,6 +150,7 @@ def as_json(plan: ComparePlan, results: Sequence[Result]) -> dict[str, Any]:
             {
                 **asdict(result.trial),
                 "failure": result.failure,
+                "cut": result.cut,
                 "remark": None if result.flown is None else result.flown.remark,
                 "load": None if result.load is None else asdict(result.load),
                 "estimate": None if result.estimate is None else asdict(result.estimate),

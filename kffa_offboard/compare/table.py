@@ -39,7 +39,7 @@ def load_row(result: Result) -> tuple[str, ...]:
     """One row under `LOAD_HEADER`."""
     load = result.load
     if load is None:
-        return (result.trial.label, *[_DASH] * (len(LOAD_HEADER) - 1))
+        return (result.label, *[_DASH] * (len(LOAD_HEADER) - 1))
     return (
         result.trial.label,
         f"{load.pickup.peak_m:.3f}",
