@@ -1,9 +1,9 @@
 """``python -m kffa_offboard.experiments.height_wander``: what the estimate's wander adds to a comparison.
 
-Prints the table of docs/comparison.md as Markdown: IAE of the error of an estimate of height, from its mean
-in the 5 s before the pick-up, in the 5 s after pick-up and drop (10 s later). A vehicle that held the
-estimate exactly would move by that much. The estimate is the vertical part of PX4's EKF2 with the noises that
-it assumes by default (height, climb rate, accelerometer bias; satellite fix, accelerometer, and a range
+Prints the table of docs/comparison.md as Markdown: IAE and peak of the error of an estimate of height, from
+its mean in the 5 s before the pick-up, in the 5 s after pick-up and drop (10 s later). A vehicle that held
+the estimate exactly would move by that much. The estimate is the vertical part of PX4's EKF2 with the noises
+that it assumes by default (height, climb rate, accelerometer bias; satellite fix, accelerometer, and a range
 finder where there is one), of the sensors that the simulation gives it, in hover. Without the barometer:
 EKF2 takes 3.5 m for its noise, which leaves it next to no weight. A filter that knows the noise is the Kalman
 filter whose assumptions are the sensors' true noises: none that hears the same sensors has less variance.
@@ -97,34 +97,45 @@ def followed(height: Array, climb_rate: Array, time_s: float) -> Array:
     return found
 
 
-def iae(error: Array) -> tuple[float, float]:
-    """Mean IAE [m s] after pick-up and drop, over the flights."""
+def distances(error: Array) -> tuple[Array, Array]:
+    """From the mean before the pick-up, in the windows after pick-up and drop; each ``(steps, flights)``."""
     pickup, drop, window = (round(time_s / STEP_S) for time_s in (PICKUP_S, DROP_S, WINDOW_S))
     away = np.abs(error - error[pickup - window : pickup].mean(axis=0))
-    after = [STEP_S * away[event : event + window].sum(axis=0).mean() for event in (pickup, drop)]
-    return float(after[0]), float(after[1])
+    return away[pickup : pickup + window], away[drop : drop + window]
 
 
-def rows(flights: int) -> list[tuple[str, tuple[float, float]]]:
-    """Label and mean IAE of each row."""
+def iae(error: Array) -> tuple[float, float]:
+    """Mean IAE [m s] after pick-up and drop, over the flights."""
+    pickup, drop = (float(STEP_S * away.sum(axis=0).mean()) for away in distances(error))
+    return pickup, drop
+
+
+def peaks(error: Array) -> tuple[float, float]:
+    """Mean of the largest distances [m] after pick-up and drop, over the flights."""
+    pickup, drop = (float(away.max(axis=0).mean()) for away in distances(error))
+    return pickup, drop
+
+
+def rows(flights: int) -> list[tuple[str, Array]]:
+    """Label and error of each row."""
     none = Noises(0.0, 0.0, 0.0)
     with_range = replace(SENSORS, distance=RANGE_FINDER_M)
     height, climb_rate = estimates(SENSORS, EKF2, flights)
     knowing, _ = estimates(SENSORS, SENSORS, flights)
     ranged, _ = estimates(with_range, replace(EKF2, distance=EKF2_DISTANCE), flights)
-    found = [("EKF2's height", iae(height))]
+    found = [("EKF2's height", height)]
     for name, label in (
         ("acceleration", "the accelerometer's noise alone"),
         ("fix_velocity", "the fixes' velocity alone"),
         ("fix_height", "the fixes' height alone"),
     ):
         alone, _ = estimates(replace(none, **{name: getattr(SENSORS, name)}), EKF2, flights)
-        found.append((label, iae(alone)))
+        found.append((label, alone))
     for time_s in FOLLOWING_S:
         label = f"its height and climb rate, height followed in {time_s:g} s"
-        found.append((label, iae(followed(height, climb_rate, time_s))))
-    found.append(("a filter that knows the noise", iae(knowing)))
-    found.append(("EKF2's height, range finder", iae(ranged)))
+        found.append((label, followed(height, climb_rate, time_s)))
+    found.append(("a filter that knows the noise", knowing))
+    found.append(("EKF2's height, range finder", ranged))
     return found
 
 
@@ -133,9 +144,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m kffa_offboard.experiments.height_wander")
     parser.add_argument("--flights", type=int, default=400, help="how many flights are averaged")
     flights = parser.parse_args(arguments).flights
-    print("| | IAE after pick-up, m s | after drop, m s |\n|---|---|---|")
-    for label, (pickup, drop) in rows(flights):
-        print(f"| {label} | {pickup:.3f} | {drop:.3f} |")
+    print("| | IAE after pick-up, m s | after drop, m s | peak after pick-up, m | after drop, m |")
+    print("|---|---|---|---|---|")
+    for label, error in rows(flights):
+        print(f"| {label} | {' | '.join(f'{value:.3f}' for value in (*iae(error), *peaks(error)))} |")
     return 0
 
 

@@ -52,4 +52,4 @@ def test_the_table_is_markdown(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--flights", "3"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("| | IAE after pick-up")
-    assert all(line.count("|") == 4 for line in lines)
+    assert all(line.count("|") == 6 for line in lines)
