@@ -11,6 +11,8 @@ same moment of the noise.
 The firmware's own TIMESYNC is left out: it would be taken for a barrier. PX4 takes commands in a thread of
 its own that its lock-step does not wait for: it is asked for a TIMESYNC after them, and time goes on when it
 has answered. ArduCopter takes them in its one loop and could not answer before time goes on.
+
+A firmware whose process is known (`watch`) has done all that is to be done at this time before it is heard.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from typing import TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.compare.firmware_end import FirmwareEnd
+from kffa_offboard.compare.idle import Threads
 from kffa_offboard.compare.limits import FlightCut
 from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
 from kffa_offboard.mavlink.transport import Datagram
@@ -37,7 +40,7 @@ FIRMWARE_ANSWER_S = 0.5
 """Wall time that is given to a firmware to say that it has taken its commands."""
 
 ANSWER_LIMIT_S = 30.0
-"""Wall time that the daemon may take to answer one barrier."""
+"""Wall time that daemon or firmware may take for one barrier."""
 
 SIZE = 65535
 LOOPBACK = "127.0.0.1"
@@ -81,10 +84,11 @@ class Bridge:
         self._to_daemon: deque[tuple[int, bytes]] = deque()
         self._to_firmware: deque[tuple[int, bytes]] = deque()
         self._stop = threading.Event()
+        self._threads: Threads | None = None
         self.trouble = ""
 
     def check(self) -> None:
-        """Raises FlightCut if the daemon fell silent in the middle of the flight."""
+        """Raises FlightCut if daemon or firmware did not come to an end in the middle of the flight."""
         if self.trouble:
             raise FlightCut(self.trouble)
 
@@ -92,6 +96,10 @@ class Bridge:
     def time_s(self) -> float:
         """Simulated time of the latest barrier, s."""
         return self._time_us * 1e-6
+
+    def watch(self, pid: int) -> None:
+        """Before it is heard, wait until the firmware, which is process `pid`, has nothing left to do."""
+        self._threads = Threads(pid)
 
     def let_go(self) -> None:
         """The daemon has ended: nobody is waited for any more."""
@@ -110,16 +118,16 @@ class Bridge:
 
     def run(self) -> None:
         """Serve barriers until the sockets are closed."""
-        while True:
-            try:
+        with contextlib.suppress(OSError, ValueError):  # closed
+            while True:
                 ready, _, _ = select.select([self._physics], [], [], POLL_S)
                 if ready:
                     word, physics_at = self._physics.recvfrom(64)
                     with self._turn:
                         self._pass((struct.unpack("<Q", word))[0])
                     self._physics.sendto(word, physics_at)
-            except (OSError, ValueError):  # closed
-                return
+        if self._threads is not None:
+            self._threads.close()
 
     def close(self) -> None:
         """Close the sockets."""
@@ -132,6 +140,8 @@ class Bridge:
     def _pass(self, time_us: int) -> None:
         slack_us = (time_us - self._time_us) // 2  # the barrier nearest to the due time
         self._time_us = time_us
+        if self._threads is not None and not self._threads.wait_until_idle(ANSWER_LIMIT_S):
+            self.trouble = f"the firmware was busy for {ANSWER_LIMIT_S:g} s of wall time at one barrier"
         self._hear_firmware()
         if not self._stop.is_set() and not self.trouble:
             if self._daemon_at is None and time_us >= self._meeting_us:

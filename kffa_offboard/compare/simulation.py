@@ -15,6 +15,7 @@ from typing import Any, Protocol, TypeAlias
 
 from kffa_offboard.compare import firmware
 from kffa_offboard.compare.bridge import bridge
+from kffa_offboard.compare.idle import Threads
 from kffa_offboard.compare.plan import DROP_S, NORMAL_DELAY_S, PICKUP_S, AutopilotName, Trial, head_start_s
 from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.config import bundled
@@ -185,6 +186,8 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
             stderr=output,
         )
     )
+    if link is not None and name.answers and Threads.can_be_seen():
+        link.watch(child.pid)
     url = f"udpin:127.0.0.1:{link_port}" if link is None else f"udpout:127.0.0.1:{link.daemon_port}"
     running = (physics, ("the firmware", child, log))
     return Simulation(url, name.system_id(instance), truth, head_start, running, link)

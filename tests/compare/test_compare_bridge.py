@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import socket
 import struct
+import sys
 from collections.abc import Iterator
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.compare.bridge import Bridge, bridge
+from kffa_offboard.compare.idle import Threads
 from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
 from kffa_offboard.mavlink.transport import Datagram
+from kffa_offboard.trials.processes import process
 
 DELAY_S, PERIOD_US = 0.008, 4000
 FIRMWARE = Component(Route(own_system=7, own_component=1))
@@ -129,6 +132,19 @@ def test_a_command_arrives_after_the_links_delay_in_simulated_time(ends: Ends) -
         except TimeoutError:
             arrived.append(False)
     assert arrived == [False, True, False]
+
+
+@pytest.mark.skipif(not Threads.can_be_seen(), reason="this system has no /proc with schedstat")
+def test_time_stands_still_while_a_thread_of_the_firmware_is_busy(ends: Ends) -> None:
+    with process([sys.executable, "-c", "while True: pass"]) as child:
+        ends.link.watch(child.pid)
+        ends.come_to_barrier()
+        ends.physics.settimeout(0.5)
+        with pytest.raises(TimeoutError):
+            ends.physics.recv(64)
+        child.kill()
+        child.wait()
+        assert ends.let_go()
 
 
 def test_the_firmwares_own_timesync_is_no_barrier(ends: Ends) -> None:
