@@ -21,16 +21,19 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class EstimateFigures:
-    """Error of the estimated height, from its mean in the 5 s before the pick-up.
+    """Of the estimated height; deviations are from its mean in the 5 s before the pick-up.
 
     Attributes
     ----------
-    pickup, drop : largest and integrated, in the 5 s after each
+    pickup, drop : largest and integrated deviation of its error, in the 5 s after each
+    seen_pickup, seen_drop : the same of the estimated height itself: what the controller sees and leaves
     before_m_s, after_m_s : mean error of the climb rate in the 5 s before the pick-up, and after it
     """
 
     pickup: Deviation
     drop: Deviation
+    seen_pickup: Deviation
+    seen_drop: Deviation
     before_m_s: float
     after_m_s: float
 
@@ -77,16 +80,17 @@ def measure_estimate(truth: Truth, log: HeightLog, load: LoadFigures) -> Estimat
     after = _window(log, load.pickup_s)
     if not before.any():
         raise FlightFailed("the log holds no estimate of height before the pick-up")
-    reference = float(error[before].mean())
 
-    def deviation(event_s: float) -> Deviation:
+    def deviation(values: Array, event_s: float) -> Deviation:
         window = _window(log, event_s)
-        distance = np.abs(error[window] - reference)
+        distance = np.abs(values[window] - values[before].mean())
         return Deviation(float(distance.max()), float(np.trapezoid(distance, log.time_s[window])))
 
     return EstimateFigures(
-        pickup=deviation(load.pickup_s),
-        drop=deviation(load.drop_s),
+        pickup=deviation(error, load.pickup_s),
+        drop=deviation(error, load.drop_s),
+        seen_pickup=deviation(log.height_m, load.pickup_s),
+        seen_drop=deviation(log.height_m, load.drop_s),
         before_m_s=float(rate_error[before].mean()),
         after_m_s=float(rate_error[after].mean()),
     )

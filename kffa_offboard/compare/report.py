@@ -121,7 +121,8 @@ def _load_table(results: Sequence[Result]) -> str:
         f"{100 * RECOVERED_M:g} cm. Hover and level: rms in the 5 s before the pick-up. Tilt: largest roll or "
         "pitch in the 5 s after either event. Times of the events are the simulator’s, not told to anybody, except "
         "in “own release”, where the daemon commands the drop. Estimate: IAE of the error of the autopilot’s own estimate of "
-        "height in the same windows, which a controller that holds this estimate cannot avoid.</p>"
+        "height in the same windows, which a controller that holds this estimate cannot avoid. Seen: largest deviation of that "
+        "estimate, all that the controller can see.</p>"
     )
     return _table(LOAD_HEADER, rows) + note
 

@@ -21,6 +21,7 @@ LOAD_HEADER = (
     "level rms [deg]",
     "tilt peak [deg]",
     "estimate: IAE [m s]",
+    "seen: peak [m]",
 )
 STEP_HEADER = ("", "channel", "overshoot [%]", "settling [s]", "turns")
 _DASH = "—"
@@ -51,16 +52,19 @@ def load_row(result: Result) -> tuple[str, ...]:
         f"{load.hover_rms_m:.4f}",
         f"{load.level_rms_deg:.2f}",
         f"{load.tilt_peak_deg:.1f}",
-        _estimate(result),
+        *_estimate(result),
     )
 
 
-def _estimate(result: Result) -> str:
+def _estimate(result: Result) -> tuple[str, str]:
     """After pick-up and drop."""
     estimate = result.estimate
     if estimate is None:
-        return _DASH
-    return f"{estimate.pickup.iae_m_s:.3f}, {estimate.drop.iae_m_s:.3f}"
+        return _DASH, _DASH
+    return (
+        f"{estimate.pickup.iae_m_s:.3f}, {estimate.drop.iae_m_s:.3f}",
+        f"{estimate.seen_pickup.peak_m:.3f}, {estimate.seen_drop.peak_m:.3f}",
+    )
 
 
 def step_rows(result: Result) -> list[tuple[str, ...]]:

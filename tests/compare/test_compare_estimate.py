@@ -33,6 +33,9 @@ def test_an_estimate_that_is_always_wrong_by_the_same_costs_nothing() -> None:
     figures = measure_estimate(flown, log, measure_load(flown))
     assert figures.pickup.iae_m_s == pytest.approx(0.0, abs=1e-9)
     assert figures.drop.peak_m == pytest.approx(0.0, abs=1e-9)
+    assert figures.seen_pickup.peak_m == pytest.approx(0.2)
+    assert figures.seen_pickup.iae_m_s == pytest.approx(1.0, rel=0.01)
+    assert figures.seen_drop.peak_m == pytest.approx(0.0, abs=1e-9)
 
 
 def test_whoever_holds_a_drifting_estimate_moves_by_the_drift() -> None:
@@ -42,6 +45,7 @@ def test_whoever_holds_a_drifting_estimate_moves_by_the_drift() -> None:
     figures, load = measure_estimate(flown, log, measure_load(flown)), measure_load(flown)
     assert figures.pickup.iae_m_s == pytest.approx(load.pickup.iae_m_s, abs=1e-3)
     assert figures.drop.peak_m == pytest.approx(0.075, abs=1e-3)
+    assert figures.seen_drop.peak_m == pytest.approx(0.0, abs=1e-9)
     assert figures.after_m_s == pytest.approx(0.005, abs=1e-4)
     assert figures.before_m_s == pytest.approx(0.0, abs=1e-9)
 
