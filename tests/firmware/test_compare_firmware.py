@@ -5,9 +5,10 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -38,26 +39,53 @@ BESIDE_THE_ESTIMATE_M = 0.015
 """The same of the peak after a release."""
 
 
-@pytest.mark.parametrize("autopilot", DOCUMENTED)
-def test_a_load_moves_it_less_under_kffa_ladrc_than_in_its_own_mode(
-    autopilot: str, firmware_binary: Callable[[str], Path], tmp_path: Path
-) -> None:
-    only = [word for name in ("native-stock", "kffa-ladrc", "release") for word in ("--only", name)]
-    command = [sys.executable, "-m", "kffa_offboard", "compare", "--autopilot", autopilot]
-    command += ["--firmware", str(firmware_binary(autopilot)), "--json", "--out", str(tmp_path / "out")]
+def flown(autopilot: str, binary: Path, out: Path, names: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """The rows of these names, as results.json has them."""
+    command = [sys.executable, "-m", "kffa_offboard", "compare", "--autopilot", autopilot, "--full"]
+    command += ["--firmware", str(binary), "--json", "--out", str(out)]
+    only = [word for name in names for word in ("--only", name)]
     ended = subprocess.run([*command, *only], capture_output=True, text=True, timeout=880)
     assert ended.returncode == 0, ended.stderr
     results = json.loads(ended.stdout.splitlines()[-1])
     assert results["firmware_version"] is not None
-    stock, ours, release = (trial["load"] for trial in results["trials"])
-    estimate, released = (trial["estimate"] for trial in results["trials"][1:])
+    return {trial["name"]: trial for trial in results["trials"]}
+
+
+@pytest.mark.parametrize("autopilot", DOCUMENTED)
+def test_a_load_moves_it_less_under_kffa_ladrc_than_in_its_own_mode(
+    autopilot: str, firmware_binary: Callable[[str], Path], tmp_path: Path
+) -> None:
+    names = ("native-stock", "kffa-ladrc", "release")
+    rows = flown(autopilot, firmware_binary(autopilot), tmp_path / "out", names)
+    stock, ours, release = (rows[name]["load"] for name in names)
+    estimate, released = (rows[name]["estimate"] for name in names[1:])
     documented = DOCUMENTED[autopilot]
     for event in ("pickup", "drop"):
         assert ours[event]["peak_m"] < documented.peak_m
         assert stock[event]["peak_m"] > documented.peak_ratio * ours[event]["peak_m"]
         assert ours[event]["iae_m_s"] < estimate[event]["iae_m_s"] + BESIDE_THE_ESTIMATE_M_S
+        seen = estimate[f"seen_{event}"]
+        assert stock[event]["peak_m"] > documented.peak_ratio * seen["peak_m"]
+        assert stock[event]["iae_m_s"] > documented.iae_ratio * seen["iae_m_s"]
     assert release["drop"]["peak_m"] < released["drop"]["peak_m"] + BESIDE_THE_ESTIMATE_M
+    assert released["seen_drop"]["peak_m"] < documented.release_peak_m
     assert ours["level_rms_deg"] < 0.3
     for event in ("pickup", "drop"):
         assert stock[event]["iae_m_s"] > documented.iae_ratio * ours[event]["iae_m_s"]
     assert release["drop"]["peak_m"] < documented.release_peak_m
+
+
+def test_with_a_range_finder_px4s_true_height_keeps_within_every_bound(
+    firmware_binary: Callable[[str], Path], tmp_path: Path
+) -> None:
+    """Beside PX4's own mode without one, which it cannot fly with this reference."""
+    names = ("native-stock", "kffa-ladrc-range", "release-range")
+    rows = flown("px4", firmware_binary("px4"), tmp_path / "out", names)
+    stock, ours, release = (rows[name]["load"] for name in names)
+    documented = DOCUMENTED["px4"]
+    for event in ("pickup", "drop"):
+        assert ours[event]["peak_m"] < documented.peak_m
+        assert stock[event]["peak_m"] > documented.peak_ratio * ours[event]["peak_m"]
+        assert stock[event]["iae_m_s"] > documented.iae_ratio * ours[event]["iae_m_s"]
+    assert release["drop"]["peak_m"] < documented.release_peak_m
+    assert ours["level_rms_deg"] < 0.3
