@@ -47,22 +47,24 @@ def test_a_flight_a_thousand_times_slower_than_real_time_is_not_cut_and_a_stalle
         watch.see(59.951, say)
 
 
-def test_a_firmware_that_boots_has_longer_before_its_first_simulated_time() -> None:
+@pytest.mark.parametrize(
+    ("began_s", "waited_s", "flown_s", "said"),
+    [
+        (0.0, limits.BOOT_LIMIT_S, 0.0, r"stood still at 0\.0 s for 120 s"),
+        (40.0, 0.0, limits.FLIGHT_LIMIT_S, r"not over after 300 s of simulated time"),
+    ],
+    ids=["it never boots", "it never lands"],
+)
+def test_a_flight_is_given_up_beyond_the_limit_and_not_at_it(
+    began_s: float, waited_s: float, flown_s: float, said: str
+) -> None:
     clock = WallClock()
-    watch = Watch(0.0, clock=clock)
-    clock.now_s = limits.BOOT_LIMIT_S
-    watch.see(0.0, say)
+    watch = Watch(began_s, clock=clock)
+    clock.now_s = waited_s
+    watch.see(began_s + flown_s, say)
     clock.now_s += 0.1
-    with pytest.raises(FlightCut, match=r"at 0\.0 s for 120 s"):
-        watch.see(0.0, say)
-
-
-def test_a_flight_that_never_lands_is_cut_by_simulated_time() -> None:
-    clock = WallClock()
-    watch = Watch(40.0, clock=clock)
-    watch.see(40.0 + limits.FLIGHT_LIMIT_S, say)
-    with pytest.raises(FlightCut, match=r"not over after 300 s of simulated time"):
-        watch.see(40.1 + limits.FLIGHT_LIMIT_S, say)
+    with pytest.raises(FlightCut, match=said):
+        watch.see(began_s + (flown_s + 0.1 if flown_s else 0.0), say)
 
 
 class Stalled:
