@@ -166,11 +166,11 @@ def daemon_document(setup: Setup, trial: Trial, running: Simulation) -> dict[str
 
 
 def _with_delay(control: dict[str, Any], delay_s: float) -> dict[str, Any]:
-    """Every delay that the observer is told of, longer by `delay_s`: the link's delay can be measured."""
+    """Delays that the observers are told of, and forecasts, longer by `delay_s`, which can be measured."""
     longer: dict[str, Any] = {}
     for key, value in control.items():
         if isinstance(value, dict):
             longer[key] = _with_delay(value, delay_s)
-        elif key == "delay_s":
+        elif key in ("delay_s", "prediction_s"):
             longer[key] = value + delay_s
     return longer

@@ -14,6 +14,7 @@ from kffa_offboard.compare.plan import AutopilotName, ComparePlan, Conditions, T
 from kffa_offboard.compare.simulation import Setup, Simulation
 from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.config import bundled, load
+from kffa_offboard.config_control import ControlTable
 from sim_vehicle.config import build
 
 
@@ -47,6 +48,19 @@ def test_a_slower_link_is_told_to_every_observer(tmp_path: Path) -> None:
     slow = daemon_document(setup, chosen["kffa-ladrc-delay"], running)["control"]
     assert slow["altitude"]["delay_s"] == pytest.approx(usual["altitude"]["delay_s"] + 0.05)
     assert slow["rates"]["yaw"]["delay_s"] == pytest.approx(usual["rates"]["yaw"]["delay_s"] + 0.05)
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_over_a_slower_link_the_law_looks_as_much_further_ahead(autopilot: str, tmp_path: Path) -> None:
+    wanted = plan(autopilot)
+    setup = Setup(wanted.autopilot, Path("firmware"), tmp_path)
+    running = Simulation("udpout:127.0.0.1:9", 21, tmp_path / "truth.csv", 0.0, ())
+    usual, slow = (
+        ControlTable.model_validate(daemon_document(setup, trial, running)["control"]).altitude.prediction
+        for trial in trials(wanted)
+        if trial.name in ("kffa-ladrc", "kffa-ladrc-delay")
+    )
+    assert slow == pytest.approx(usual + 0.05)
 
 
 def test_the_measured_steps_are_those_that_are_flown() -> None:

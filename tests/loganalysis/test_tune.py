@@ -10,6 +10,7 @@ import control as oracle
 import numpy as np
 import pytest
 
+from kffa_offboard.config import bundled
 from kffa_offboard.config_control import ControlTable
 from kffa_offboard.control import controllers
 from kffa_offboard.errors import UserError
@@ -26,8 +27,9 @@ from kffa_offboard.loganalysis.loop_model import (
 )
 from kffa_offboard.loganalysis.margins import Wanted, frequencies, margins
 from kffa_offboard.loganalysis.tune import allowed_bandwidths, parameters_of, tune
-from kffa_offboard.loganalysis.tune_altitude import AltitudeSearch, Candidate
+from kffa_offboard.loganalysis.tune_altitude import DROP_M_S2, AltitudeSearch, Candidate
 from kffa_offboard.loganalysis.tune_command import control_of, run_tune
+from kffa_offboard.offboard.settings import LimitSettings
 
 PERIOD_S = 0.01
 ALTITUDE = PlantNumbers(b0=24.6, damping=0.0, stiffness=0.0, delay_s=0.0525, lag_s=0.05)
@@ -192,6 +194,26 @@ def swings(found: Candidate, vehicle: LinearSystem) -> tuple[float, float]:
         x = vehicle.a @ x + vehicle.b @ np.array([output.command[3], 0.0])
         flown.append(abs(y[0]))
     return max(flown[200:300]), max(flown[500:])
+
+
+@pytest.mark.parametrize(
+    ("delay_s", "wanted", "peak_m"),
+    [(0.02, Wanted(3.7, 32.0, 0.029), 0.027), (0.028, Wanted(4.0, 24.0, 0.021), 0.03)],
+)
+def test_the_altitude_loop_for_a_real_arducopter_keeps_its_margins_and_moves_by_less_than_3_cm(
+    delay_s: float, wanted: Wanted, peak_m: float
+) -> None:
+    """Motors of 50 ms; a delay between the one that was identified and the one that flights show."""
+    given = tomllib.loads(bundled("compare-ardupilot.toml").read_text(encoding="utf-8"))["control"]
+    control, _ = control_of(given, "compare-ardupilot.toml")
+    settings = control.settings(LimitSettings())
+    base = LinearController.of(parameters_of(control), PERIOD_S)
+    loop = base.with_bandwidths(settings.omega_c, settings.omega_o).system(3)
+    vehicle = plant(PlantNumbers(25.8, 0.0, 0.0, delay_s, 0.05), PERIOD_S)
+    omega = frequencies(PERIOD_S)
+    assert margins(omega, frequency_response(open_loop(loop, vehicle), omega)).meet(wanted)
+    moved = DROP_M_S2 * np.abs(step_response(closed_loop(loop, vehicle), 2.0))
+    assert moved.max() < peak_m
 
 
 def test_tune_writes_tables_that_load_and_a_picture(
