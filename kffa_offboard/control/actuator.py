@@ -104,15 +104,17 @@ def shares(ages: tuple[float, ...], delay: Array, span: Array) -> Array:
 
     A command acted from (age - delay) ago until the next one took over.
     """
-    return _shares(ages, delay, span)[0]
+    age = np.array(ages).reshape(-1, *(1,) * delay.ndim)
+    parts: Array = np.minimum(np.maximum(age - delay, 0.0), span)
+    parts[:-1] -= parts[1:]
+    parts /= span
+    return parts
 
 
 @remember
-def _shares(ages: tuple[float, ...], delay: Array, span: Array) -> tuple[Array]:
-    age = np.array(ages).reshape(-1, *(1,) * delay.ndim)
-    parts = np.minimum(np.maximum(age - delay, 0.0), span)
-    parts[:-1] -= parts[1:]
-    return (parts / span,)
+def known_shares(ages: tuple[float, ...], delay: Array, span: Array) -> tuple[Array]:
+    """`shares`, remembered."""
+    return (shares(ages, delay, span),)
 
 
 @remember

@@ -109,7 +109,8 @@ def averages(found: Coefficients, ages: tuple[float, ...], commands: Array) -> l
     `ages` are those at the end of the step.
     """
     windows = [found.window] if found.ahead is None else [found.window, found.ahead.window]
-    return [actuator.average(actuator.shares(ages, seen.delay, seen.span), commands) for seen in windows]
+    shares = [actuator.known_shares(ages, seen.delay, seen.span)[0] for seen in windows]
+    return [actuator.average(parts, commands) for parts in shares]
 
 
 def with_times(

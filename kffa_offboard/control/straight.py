@@ -35,7 +35,7 @@ Function: TypeAlias = Callable[..., tuple[float, ...]]
 LAWS = 32
 """Sets of parameters whose functions are kept."""
 
-REMEMBERED = 256
+REMEMBERED = 32
 """Coefficients that are kept for each of them; beyond it the oldest is forgotten."""
 
 

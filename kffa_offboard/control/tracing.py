@@ -102,6 +102,10 @@ class Tape:
             self._known[key] = Symbol(self, operation, arguments)
         return self._known[key]
 
+    def forget(self) -> None:
+        """Let go of the symbols, which know their tape."""
+        self._known.clear()
+
     def table(self, values: Array) -> Symbol:
         """A constant table ``(rows, n)`` whose rows are looked up by number."""
         self.tables.append(tuple(map(tuple, values.tolist())))
@@ -280,4 +284,5 @@ def compiled(
     exec(compile(source, "<traced>", "exec"), namespace)
     function: Callable[..., tuple[float, ...]] = namespace["function"]
     function.__doc__ = source
+    tape.forget()
     return function
