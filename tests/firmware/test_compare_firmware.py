@@ -75,10 +75,13 @@ def test_a_load_moves_it_less_under_kffa_ladrc_than_in_its_own_mode(
     assert release["drop"]["peak_m"] < released["drop"]["peak_m"] + BESIDE_THE_ESTIMATE_M
     assert released["seen_drop"]["peak_m"] < documented.release_peak_m
     assert ours["level_rms_deg"] < 0.3
-    if documented.estimate_wanders:
-        return
-    for event in ("pickup", "drop"):
-        assert stock[event]["iae_m_s"] > documented.iae_ratio * ours[event]["iae_m_s"]
+    ratios = [stock[event]["iae_m_s"] / ours[event]["iae_m_s"] for event in ("pickup", "drop")]
+    kept = min(ratios) > documented.iae_ratio and release["drop"]["peak_m"] < documented.release_peak_m
+    if documented.estimate_wanders and not kept:
+        pytest.xfail(
+            f"PX4's estimate wanders: IAE {ratios} times smaller, release {release['drop']['peak_m']} m"
+        )
+    assert min(ratios) > documented.iae_ratio
     assert release["drop"]["peak_m"] < documented.release_peak_m
 
 
