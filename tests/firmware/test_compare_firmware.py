@@ -19,22 +19,17 @@ pytestmark = pytest.mark.timeout(900)
 class Figures:
     """docs/comparison.md, with room for the centimetre by which two flights differ.
 
-    Attributes
-    ----------
-    estimate_wanders : PX4's own height moves by more than the last two bounds, as that of the best filter of
-        these sensors would (docs/comparison.md): they hold for what the controller sees, and for true
-        height with a range finder
+    PX4 with its present gains misses the last two at seed 0 (docs/comparison.md): its estimate wanders.
     """
 
     peak_m: float
     peak_ratio: float
     iae_ratio: float
     release_peak_m: float
-    estimate_wanders: bool = False
 
 
 DOCUMENTED = {
-    "px4": Figures(peak_m=0.065, peak_ratio=8.0, iae_ratio=15.0, release_peak_m=0.035, estimate_wanders=True),
+    "px4": Figures(peak_m=0.065, peak_ratio=8.0, iae_ratio=15.0, release_peak_m=0.035),
     "ardupilot": Figures(peak_m=0.065, peak_ratio=3.5, iae_ratio=1.5, release_peak_m=0.035),
 }
 BESIDE_THE_ESTIMATE_M_S = 0.045
@@ -76,11 +71,6 @@ def test_a_load_moves_it_less_under_kffa_ladrc_than_in_its_own_mode(
     assert released["seen_drop"]["peak_m"] < documented.release_peak_m
     assert ours["level_rms_deg"] < 0.3
     ratios = [stock[event]["iae_m_s"] / ours[event]["iae_m_s"] for event in ("pickup", "drop")]
-    kept = min(ratios) > documented.iae_ratio and release["drop"]["peak_m"] < documented.release_peak_m
-    if documented.estimate_wanders and not kept:
-        pytest.xfail(
-            f"PX4's estimate wanders: IAE {ratios} times smaller, release {release['drop']['peak_m']} m"
-        )
     assert min(ratios) > documented.iae_ratio
     assert release["drop"]["peak_m"] < documented.release_peak_m
 
