@@ -24,6 +24,7 @@ from kffa_offboard.control.blocks import (
     Limits,
     wrap_near,
 )
+from kffa_offboard.control.covariance import Spread
 
 _SAME_MOMENT = 5e-3  # s; the step nearest to the moment takes it, with a telemetry of 100 Hz
 
@@ -47,7 +48,7 @@ class Coefficients(NamedTuple):
     ahead : None without a prediction
     kalman, correction : gains; None without the block
     scales : of the fuzzy rules; None without them
-    elapsed, covariance, period : of the state after the step (see the blocks)
+    elapsed, spreads : of the state after the step (see the blocks)
     """
 
     dt: float | Array
@@ -59,11 +60,7 @@ class Coefficients(NamedTuple):
     correction: tuple[Array, Array, Array] | None
     scales: tuple[Array, Array] | None
     elapsed: Array
-    covariance: Array
-    period: float
-
-
-_NO_COVARIANCE = np.zeros((0, 0))
+    spreads: tuple[Spread, ...]
 
 
 def coefficients(
@@ -72,10 +69,11 @@ def coefficients(
     """Look them up for a step of `dt` s; measurements are not read, only which of them are there."""
     axes = state.actuator.lagged.ndim
     elapsed = state.observer.elapsed + dt
-    gains, covariance, period = None, _NO_COVARIANCE, 0.0
+    gains: kalman.KalmanGains | None = None
+    spreads: tuple[Spread, ...] = ()
     if parameters.kalman is not None and state.kalman is not None:
         with_rate = inputs.measured_rate is not None
-        gains, covariance, period = kalman.gains(
+        gains, spreads = kalman.gains(
             parameters.kalman, parameters.model, state.kalman, inputs.fresh, dt, with_rate=with_rate
         )
     correction = None
@@ -98,8 +96,7 @@ def coefficients(
         correction,
         None if parameters.fuzzy is None else fuzzy.scaling(parameters.fuzzy, axes),
         elapsed,
-        covariance,
-        period,
+        spreads,
     )
 
 
@@ -116,11 +113,11 @@ def averages(found: Coefficients, ages: tuple[float, ...], commands: Array) -> l
 def with_times(
     parameters: ControllerParameters, state: ControllerState, found: Coefficients, ages: tuple[float, ...]
 ) -> ControllerState:
-    """Ages, covariance and period as they are after the step; commands that act no more are forgotten."""
+    """Ages and spreads as they are after the step; commands that act no more are forgotten."""
     queue, filtered = state.actuator, state.kalman
     over = actuator.count_over(parameters.actuator, ages)
     if filtered is not None:
-        filtered = filtered._replace(covariance=found.covariance, period=found.period)
+        filtered = filtered._replace(spreads=found.spreads)
     return state._replace(
         observer=state.observer._replace(elapsed=found.elapsed),
         actuator=actuator.ActuatorState(actuator.kept(ages, over), queue.commands[over:], queue.lagged),

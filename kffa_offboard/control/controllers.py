@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from kffa_offboard.control import Array, BoolArray, actuator, column, pid, straight
+from kffa_offboard.control import Array, actuator, column, pid, straight
 from kffa_offboard.control import tracking_differentiator as td
 from kffa_offboard.control.blocks import (
     CHANNELS,
@@ -61,7 +61,6 @@ __all__ = [
     "align_reference",
     "initial_state",
     "lead",
-    "prepare",
     "step",
     "with_applied",
     "with_disturbance_step",
@@ -133,16 +132,3 @@ def write_out(parameters: ControllerParameters, *, with_rate: bool) -> None:
     """Trace the step of one vehicle (`straight`), which otherwise is done in the first one: some 0.05 s."""
     if straight.can_be_straight(parameters):
         straight.law(parameters, with_rate)
-
-
-def prepare(
-    parameters: ControllerParameters, state: ControllerState, fresh: BoolArray, dt: float, *, with_rate: bool
-) -> None:
-    """Work out, in time left over, what the next `step` looks up if it is like the last: `dt`, `fresh`.
-
-    Nothing changes but the time that `step` takes: coefficients depend on no measurement (`memory.remember`).
-    """
-    if straight.is_straight(parameters, state, dt):
-        unread = state.observer.estimate
-        inputs = ControllerInput(unread, unread, fresh, unread if with_rate else None)
-        straight.prepare(parameters, state, inputs, dt)

@@ -21,6 +21,10 @@ PERIOD_TOLERANCE = 0.3
 each step of a steady rate is a little another one; gains of their own would move estimates by a fiftieth of
 their noise."""
 
+REST_TOLERANCE = 0.02
+"""Of the Kalman filter: a fifth of a second after a late sample gains are at rest again, with a jump of a
+fiftieth at most."""
+
 
 @dataclass(frozen=True)
 class DesignSettings:
@@ -165,6 +169,7 @@ def _kalman(settings: DesignSettings) -> kalman.KalmanParameters:
         settings.rate_variance,
         "literal" if settings.literal_filter else "extended",
         period_tolerance=PERIOD_TOLERANCE,
+        rest_tolerance=REST_TOLERANCE,
     )
 
 

@@ -47,13 +47,14 @@ class Found(NamedTuple):
 
     Attributes
     ----------
-    covariance : the Kalman filter's before the step; None without one
     numbers : flat lists, in the order of `_coefficient_arrays` and `_parameter_arrays`
+    delay, span : s ``(2, channels)``, of the windows (`actuator.Window`) of what acted, and of what will
     """
 
-    covariance: Array | None
     coefficients: Coefficients
     numbers: list[list[float]]
+    delay: Array
+    span: Array
 
 
 _functions: dict[tuple[Any, ...], Function] = {}
@@ -79,26 +80,21 @@ class Law:
 
     def find(self, state: ControllerState, inputs: ControllerInput, dt: float) -> Found:
         """Look up the coefficients of a step, or work them out."""
-        filtered = state.kalman
-        covariance = None if filtered is None else filtered.covariance
         key = (
             dt,
             inputs.fresh.tobytes(),
             state.observer.elapsed.tobytes(),
-            0.0 if filtered is None else filtered.period,
-            id(covariance),
+            None if state.kalman is None else state.kalman.spreads,
         )
         known = self._found.get(key)
-        if known is None or known.covariance is not covariance:
+        if known is None:
             found = coefficients(self._parameters, state, inputs, dt)
             numbers = [array.reshape(-1).tolist() for array in _coefficient_arrays(found)]
-            known = Found(covariance, found, numbers + self._numbers)
+            known = Found(found, numbers + self._numbers, *_windows(found))
             _keep(self._found, key, known)
         return known
 
-    def shares(
-        self, state: ControllerState, found: Coefficients, dt: float
-    ) -> tuple[Array, int, tuple[float, ...]]:
+    def shares(self, state: ControllerState, found: Found, dt: float) -> tuple[Array, int, tuple[float, ...]]:
         """Shares ``(K, 2, channels)`` of the commands under way in what acted and in what will act.
 
         Then how many act no more, and the ages of the others.
@@ -107,16 +103,20 @@ class Law:
         known = self._shares.get(key)
         if known is None:
             ages = actuator.aged(state.actuator.ages, dt)
-            acted = found.window
-            ahead = acted if found.ahead is None else found.ahead.window
-            delay, span = (
-                np.stack(np.broadcast_arrays(*pair, acted.held)[:2])
-                for pair in ((acted.delay, ahead.delay), (acted.span, ahead.span))
-            )
             over = actuator.count_over(self._parameters.actuator, ages)
-            known = actuator.shares(ages, delay, span), over, actuator.kept(ages, over)
+            known = actuator.shares(ages, found.delay, found.span), over, actuator.kept(ages, over)
             _keep(self._shares, key, known)
         return known
+
+
+def _windows(found: Coefficients) -> list[Array]:
+    """`Found.delay` and `Found.span`."""
+    acted = found.window
+    ahead = acted if found.ahead is None else found.ahead.window
+    return [
+        np.stack(np.broadcast_arrays(*pair, acted.held)[:2])
+        for pair in ((acted.delay, ahead.delay), (acted.span, ahead.span))
+    ]
 
 
 def _keep(results: dict[Any, Any], key: Any, result: Any) -> None:
@@ -150,7 +150,7 @@ def step(
     """`controllers.step`, for what `is_straight`."""
     known = law(parameters, inputs.measured_rate is not None)
     found = known.find(state, inputs, dt)
-    shares, over, ages = known.shares(state, found.coefficients, dt)
+    shares, over, ages = known.shares(state, found, dt)
     means = np.add.reduce(shares * state.actuator.commands[:, None])
     given = (*_state_arrays(state), *_input_arrays(inputs), *means)
     numbers = known.function(*[array.tolist() for array in given], *found.numbers)
@@ -158,14 +158,6 @@ def step(
     queue = actuator.ActuatorState(ages, state.actuator.commands[over:], rows[6])
     queue = actuator.send(queue, rows[-3])
     return _next_state(state, found.coefficients, queue, rows), _output(rows)
-
-
-def prepare(
-    parameters: ControllerParameters, state: ControllerState, inputs: ControllerInput, dt: float
-) -> None:
-    """Work out what `step` will look up; measurements are not read."""
-    known = law(parameters, inputs.measured_rate is not None)
-    known.shares(state, known.find(state, inputs, dt).coefficients, dt)
 
 
 def _changing_arrays(state: ControllerState) -> list[Any]:
@@ -237,7 +229,7 @@ def _next_state(
     """The state after the step; `rows` are those of `_results`."""
     filtered = state.kalman
     if filtered is not None:
-        filtered = KalmanState(rows[7], rows[8], rows[9], found.covariance, found.period)
+        filtered = KalmanState(rows[7], rows[8], rows[9], found.spreads)
     return ControllerState(
         TrackingDifferentiatorState(rows[0], rows[1], rows[2]),
         observer.ObserverState(rows[3], rows[4], rows[5], found.elapsed),

@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import block_diag, expm, solve_discrete_are
+from scipy.linalg import block_diag, expm
 
 from kffa_offboard.control import actuator, controllers, kalman, observer
 from kffa_offboard.control import tracking_differentiator as td
+from kffa_offboard.control.covariance import Spread, at_rest
 from kffa_offboard.loganalysis.record import Array
 
 _SETTLING_STEPS = 400
@@ -92,22 +93,6 @@ def _unlimited(parameters: controllers.ControllerParameters) -> controllers.Cont
     )
 
 
-def _settled(
-    damping: float, measurement_variance: float, rate_variance: float | None, intensity: float, dt: float
-) -> Array:
-    """Covariance ``(3, 3)`` at rest, after a measurement, of the extended filter of one channel."""
-    e, p, q = (float(value) for value in observer.transition(np.array(damping), dt))
-    f = np.array([[1.0, p, q], [0.0, e, p], [0.0, 0.0, 1.0]])
-    powers = np.array(
-        [[dt**5 / 20, dt**4 / 8, dt**3 / 6], [dt**4 / 8, dt**3 / 3, dt**2 / 2], [dt**3 / 6, dt**2 / 2, dt]]
-    )
-    variances = [measurement_variance] if rate_variance is None else [measurement_variance, rate_variance]
-    h, r = np.eye(len(variances), 3), np.diag(variances)
-    before = solve_discrete_are(f.T, h.T, intensity * powers, r)
-    gain = before @ h.T @ np.linalg.inv(h @ before @ h.T + r)
-    return np.asarray(before - gain @ h @ before)
-
-
 @dataclass(frozen=True)
 class LinearController:
     """Makes the linear form of a controller; the Kalman filter settles once for all bandwidths.
@@ -158,15 +143,13 @@ class LinearController:
         intensities = np.array(before.disturbance_intensity, dtype=float)
         variances[channel], intensities[channel] = measurement_variance, intensity
         filtering = replace(before, measurement_variance=variances, disturbance_intensity=intensities)
-        damping = float(np.ravel(self.parameters.model.damping)[channel])
-        rate = None if before.rate_variance is None else float(np.ravel(before.rate_variance)[channel])
-        covariance = state.covariance.copy()
-        block = slice(3 * channel, 3 * channel + 3)
-        covariance[block, block] = _settled(damping, measurement_variance, rate, intensity, self.period_s)
+        fused, spreads = before.rate_variance is not None, list(state.spreads)
+        (rest,) = at_rest(filtering, self.parameters.model, channel, fused, self.period_s)
+        spreads[channel] = Spread(rest, 0.0, self.period_s)
         return replace(
             self,
             parameters=replace(self.parameters, kalman=filtering),
-            settled=self.settled._replace(kalman=state._replace(covariance=covariance)),
+            settled=self.settled._replace(kalman=state._replace(spreads=tuple(spreads))),
         )
 
     def system(self, channel: int) -> LinearSystem:
@@ -186,7 +169,7 @@ class LinearController:
             pid=before.pid._replace(measurement=zero, rate=zero, integral=zero),
             kalman=None
             if before.kalman is None
-            else kalman.KalmanState(mean[0], mean[1], mean[2], before.kalman.covariance),
+            else kalman.KalmanState(mean[0], mean[1], mean[2], before.kalman.spreads),
         )
         fresh = np.ones((4, size + 2), dtype=bool)
         inputs = controllers.ControllerInput(zero, unit[size], fresh, unit[size + 1])

@@ -65,9 +65,6 @@ class OffboardService(Protocol):
     def next_deadline(self) -> int | None:
         """When something is due without any event; None if nothing is."""
 
-    def prepare(self) -> None:
-        """Work out, in time left over, what the next event will need; nothing else changes."""
-
 
 class Recorder(Protocol):
     """What the shell needs of a flight log."""
@@ -305,10 +302,6 @@ class Session:
             first = keeper
         companion = self._companion.next_deadline()
         return companion if first is None or (companion is not None and companion < first) else first
-
-    def prepare(self) -> None:
-        """Use time left over: nothing has arrived and nothing is due."""
-        self.service.prepare()
 
     @property
     def done(self) -> bool:

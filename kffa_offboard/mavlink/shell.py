@@ -155,7 +155,6 @@ class RealTimeLoop:
         self._turned_us = self._clock()
         for report in self._watch.turned(self._turned_us):
             session.report(self._turned_us, report)
-        session.prepare()
 
     def result(self) -> RunResult:
         """How it ended, once `goes_on` is False."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from kffa_offboard.control import Array
 from kffa_offboard.offboard import telemetry
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
-from kffa_offboard.offboard.loop import LoopStep, Order, prepare_next, signals, step_loop, write_out
+from kffa_offboard.offboard.loop import LoopStep, Order, signals, step_loop, write_out
 from kffa_offboard.offboard.request_session import RequestSession
 from kffa_offboard.offboard.sequence import EngagePhase, microseconds, mode_granted
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -25,17 +25,6 @@ class ControlSession(RequestSession):
         write_out(settings)
         self._flown: Mapping[int, Array] = {}
         self._stepped: tuple[Order, LoopStep] | None = None
-        self._last_dt = 0.0
-        self._period_s: float | None = None
-
-    def prepare(self) -> None:
-        """Work out, in time left over, what the next control step will look up if it comes like the last two.
-
-        Nothing changes but the time that the step takes.
-        """
-        if self._loop is not None and self._period_s is not None:
-            prepare_next(self.settings, self._loop, self._period_s)
-        self._period_s = None
 
     def _control(self, time_us: int, dt: float) -> None:
         """One control step, in shadow or in earnest; the only source of new setpoints."""
@@ -64,8 +53,6 @@ class ControlSession(RequestSession):
         self._emit(signals(result.trace, order.state_name, latency_s))
         if result.fault is None:
             self._watch_payload(time_us, result.trace, order)
-        dt = result.trace.dt
-        self._last_dt, self._period_s = dt, dt if dt == self._last_dt else None
 
     def _order(self, time_us: int) -> Order:
         """What this step is to do in the present state."""

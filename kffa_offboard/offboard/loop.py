@@ -327,11 +327,6 @@ def _send(
     return loop, LoopStep(checked.target, trace._replace(output=output, command=sent, applied=applied))
 
 
-def prepare_next(settings: ServiceSettings, loop: LoopState, dt: float) -> None:
-    """Work out in time left over what the next step needs if it comes `dt` s later with all of telemetry."""
-    controllers.prepare(settings.controller, loop.controller, _FRESH, dt, with_rate=True)
-
-
 def _wish(
     settings: ServiceSettings,
     loop: LoopState,

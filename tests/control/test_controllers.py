@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from kffa_offboard.control import actuator, controllers, kalman, observer
+from kffa_offboard.control import actuator, controllers, covariance, observer
 from kffa_offboard.control.controllers import ControllerInput
 from kffa_offboard.control.design import DesignSettings, design
 
@@ -331,26 +331,13 @@ def test_observer_and_filter_take_a_known_step_together_and_zeros_call_it_off():
     assert controllers.with_disturbance_step(parameters, later, 0.0 * step, 0.1).expected is None
 
 
-def test_what_is_prepared_is_what_the_step_would_work_out() -> None:
-    parameters = design("kffa-ladrc", replace(AIRFRAME, rate_variance=np.full(4, 1e-4)))
-    rng = np.random.default_rng(3)
-    plain = prepared = controllers.initial_state(parameters, np.zeros(4), np.array([0.0, 0.0, 0.0, HOVER]))
-    for k in range(60):
-        dt = 0.01 if k % 7 else 0.011
-        inputs = ControllerInput(np.ones(4), rng.normal(0.0, 0.01, 4), ALL_FRESH, rng.normal(0.0, 0.01, 4))
-        plain, expected = controllers.step(parameters, plain, inputs, dt)
-        prepared, output = controllers.step(parameters, prepared, inputs, dt)
-        np.testing.assert_array_equal(output.command, expected.command)
-        controllers.prepare(parameters, prepared, ALL_FRESH, dt, with_rate=True)
-
-
-def test_a_prepared_step_asks_filterpy_nothing(monkeypatch) -> None:
+def test_a_step_like_an_earlier_one_asks_filterpy_nothing(monkeypatch) -> None:
     parameters = design("kffa-ladrc", replace(AIRFRAME, rate_variance=np.full(4, 1e-4)))
     inputs = ControllerInput(np.ones(4), np.zeros(4), ALL_FRESH, np.zeros(4))
     state = controllers.initial_state(parameters, np.zeros(4), np.array([0.0, 0.0, 0.0, HOVER]))
     state, _ = controllers.step(parameters, state, inputs, 0.01)
-    controllers.prepare(parameters, state, ALL_FRESH, 0.01, with_rate=True)
-    monkeypatch.setattr(kalman, "_filter", None)
+    controllers.step(parameters, state, inputs, 0.01)
+    monkeypatch.setattr(covariance, "_blank_filter", None)
     controllers.step(parameters, state, inputs, 0.01)
     with pytest.raises(TypeError):
         controllers.step(parameters, state, inputs, 0.02)

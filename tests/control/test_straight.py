@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from kffa_offboard.config import bundled, load
 from kffa_offboard.control import controllers, straight
 from kffa_offboard.control.controllers import ControllerInput
+from kffa_offboard.control.covariance import Covariance
 
 LADRC = load(bundled("demo-px4.toml")).service.controller
 VARIANTS = {
@@ -30,6 +31,8 @@ def leaves(value):
     """All numbers of a state or an output, flat, whether of one vehicle or of a batch of one."""
     if isinstance(value, tuple):
         return np.concatenate([leaves(part) for part in value]) if value else np.empty(0)
+    if isinstance(value, Covariance):
+        value = value.matrix
     return np.empty(0) if value is None else np.asarray(value, dtype=float).reshape(-1)
 
 

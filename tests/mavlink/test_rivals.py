@@ -32,9 +32,6 @@ class Told:
     def next_deadline(self):
         return None
 
-    def prepare(self):
-        pass
-
 
 class NoWire:
     name, trouble, keeps_frames_whole = "test", "", True

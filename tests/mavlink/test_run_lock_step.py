@@ -52,9 +52,6 @@ class FakeService:
     def next_deadline(self):
         return self.due_us
 
-    def prepare(self):
-        pass
-
 
 class Recorder:
     def __init__(self):

@@ -97,9 +97,6 @@ class FakeService:
     def next_deadline(self):
         return min(self.due_us, self.finish_us)
 
-    def prepare(self):
-        pass
-
     def events(self, kind):
         return [(time_us, event) for time_us, event in self.told if isinstance(event, kind)]
 

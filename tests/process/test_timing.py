@@ -89,9 +89,6 @@ class BusyService:
     def next_deadline(self):
         return self.due_us
 
-    def prepare(self):
-        pass
-
 
 def fly(link, tmp_path, sources=()):
     log, heard = tmp_path / "flight.tlog", []

@@ -1,0 +1,201 @@
+"""How uncertain the Kalman filter is of a channel, and what gain that gives (paper eq 45, 46, 48).
+
+None of it depends on measurements, only on when they come, so that it is worked out once for each pattern
+of times and looked up from then on. A covariance waits until its channel is measured again and is then
+predicted over all the time since, which is the same as step by step.
+
+With a steady telemetry it comes to rest where prediction and correction balance (the algebraic Riccati
+equation). It gets there by ever smaller steps, and each late sample moves it away for a while; near enough
+(`KalmanParameters.rest_tolerance`) it is taken for what it is going to be.
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import dataclass
+from functools import cache
+from typing import Literal, NamedTuple
+
+import numpy as np
+from filterpy.kalman import KalmanFilter
+
+from kffa_offboard.control import Array
+from kffa_offboard.control.memory import remember
+from kffa_offboard.control.observer import PlantModel, transition
+
+LITERAL_PROCESS_VARIANCE = 0.03  # the paper's Q, per step (section III-C)
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
+_DOUBLINGS = 40  # of the time until which the Riccati equation is followed
+_EXACT = 1e-14  # of the standard deviations, as `KalmanParameters.rest_tolerance`
+
+
+@dataclass(frozen=True, eq=False)
+class KalmanParameters:
+    """Noise model of each channel.
+
+    Attributes
+    ----------
+    measurement_variance : (4,), output units squared
+        R: variance of one measurement.
+    disturbance_intensity : (4,), (output units/s^2)^2/s
+        Growth of the disturbance's variance per second (random walk); `extended` only.
+    rate_variance : (4,), (output units/s)^2, or None
+        Variance of the measured rate; None does not use it (the paper).
+    model : "extended" or "literal"
+    process_variance : (4,), output units squared
+        Q of the literal filter, added to both states at every step.
+    period_tolerance : share of the period
+        Measurements that come after nearly the usual time have its gain; 0 gives each its own.
+    rest_tolerance : share of the standard deviations
+        A covariance that differs by no more from where it comes to rest is taken for that.
+    """
+
+    measurement_variance: Array
+    disturbance_intensity: Array
+    rate_variance: Array | None = None
+    model: Literal["extended", "literal"] = "extended"
+    process_variance: Array | None = None
+    period_tolerance: float = 0.0
+    rest_tolerance: float = 1e-9
+
+    @property
+    def states(self) -> int:
+        """Number of states of one channel."""
+        return 3 if self.model == "extended" else 2
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Covariance:
+    """Of a channel's states, `matrix` ``(states, states)``; compared by identity."""
+
+    matrix: Array
+
+
+class Spread(NamedTuple):
+    """How uncertain one channel is.
+
+    Attributes
+    ----------
+    covariance : after the last correction
+    elapsed : s since then
+    period : s, usually between two corrections; 0 before the first one
+    odd : s, between the last two if that was not the usual; else 0
+    """
+
+    covariance: Covariance
+    elapsed: float = 0.0
+    period: float = 0.0
+    odd: float = 0.0
+
+
+@remember
+def _model_matrices(
+    parameters: KalmanParameters, model: PlantModel, channel: int, dt: float
+) -> tuple[Array, Array]:
+    """Transition F and process noise Q of a channel over `dt`, ``(states, states)``."""
+    damping = np.asarray(model.damping, dtype=float)[channel]
+    e, p, q = transition(damping, dt)
+    f = np.array([[1.0, p, q], [0.0, e, p], [0.0, 0.0, 1.0]])
+    if parameters.states == 2:
+        variance = parameters.process_variance
+        return f[:2, :2], (LITERAL_PROCESS_VARIANCE if variance is None else variance[channel]) * np.eye(2)
+    # The random walk enters through the disturbance: integral of (q, p, 1)(q, p, 1)^T over dt.
+    _, p, q = transition(damping, 0.5 * dt * (1.0 + _NODES))
+    entered = np.stack([q, p, np.ones_like(p)])
+    return f, parameters.disturbance_intensity[channel] * 0.5 * dt * (entered * _WEIGHTS) @ entered.T
+
+
+@remember
+def _sensors(parameters: KalmanParameters, channel: int, with_rate: bool) -> tuple[Array, Array]:
+    """The H that picks the output (then the rate) of a channel, and the R of these."""
+    variances = [parameters.measurement_variance[channel]]
+    if with_rate and parameters.rate_variance is not None:
+        variances.append(parameters.rate_variance[channel])
+    return np.eye(len(variances), parameters.states), np.diag(variances)
+
+
+@remember
+def at_rest(
+    parameters: KalmanParameters, model: PlantModel, channel: int, with_rate: bool, period: float
+) -> tuple[Covariance]:
+    """Where a channel's covariance comes to rest, after the correction, if it is measured every `period` s.
+
+    By doubling: each pass goes twice as far in time as the one before (Anderson, "Second-order
+    convergent algorithms for the steady-state Riccati equation", 1978).
+    """
+    f, prior = _model_matrices(parameters, model, channel, period)
+    h, r = _sensors(parameters, channel, with_rate)
+    information = h.T @ np.linalg.inv(r) @ h
+    identity = np.eye(len(f))
+    a, g = f.T, information
+    for _ in range(_DOUBLINGS):
+        step = np.linalg.inv(identity + g @ prior) @ a
+        more = a.T @ prior @ step
+        g = g + a @ np.linalg.solve(identity + g @ prior, g) @ a.T
+        a, prior = a @ step, prior + more
+        if _within(more, prior, _EXACT):
+            break
+    posterior = np.linalg.solve(identity + prior @ information, prior)
+    return (Covariance(0.5 * (posterior + posterior.T)),)
+
+
+def predicted(
+    parameters: KalmanParameters, model: PlantModel, channel: int, covariance: Covariance, dt: float
+) -> Covariance:
+    """The covariance `dt` s later (eq 45)."""
+    f, q = _model_matrices(parameters, model, channel, dt)
+    return Covariance(f @ covariance.matrix @ f.T + q)
+
+
+def later(parameters: KalmanParameters, model: PlantModel, channel: int, spread: Spread, dt: float) -> Spread:
+    """The same `dt` s later, not measured. The literal filter's noise is one of steps, not of time."""
+    if parameters.model == "literal":
+        return spread._replace(covariance=predicted(parameters, model, channel, spread.covariance, dt))
+    return spread._replace(elapsed=spread.elapsed + dt)
+
+
+@cache
+def _blank_filter(states: int) -> KalmanFilter:
+    return KalmanFilter(dim_x=states, dim_z=1)
+
+
+@remember
+def corrected(
+    parameters: KalmanParameters, model: PlantModel, channel: int, with_rate: bool, spread: Spread, dt: float
+) -> tuple[Array, Spread]:
+    """A channel is measured `dt` s after `spread`: the gain ``(states, 1 or 2)``, and what is left."""
+    after = spread.elapsed + dt
+    usual, period, odd = _times(parameters, spread, after)
+    f, q = _model_matrices(parameters, model, channel, period if usual else after)
+    h, r = _sensors(parameters, channel, with_rate)
+    kalman = copy(
+        _blank_filter(parameters.states)
+    )  # filterpy rebinds its matrices and never writes into them
+    kalman.P = spread.covariance.matrix
+    kalman.predict(F=f, Q=q)
+    kalman.update(0.0, R=r, H=h)
+    covariance = Covariance(np.asarray(kalman.P))
+    (rest,) = at_rest(parameters, model, channel, with_rate, period)
+    if _within(covariance.matrix - rest.matrix, rest.matrix, parameters.rest_tolerance):
+        covariance = rest
+    return np.asarray(kalman.K), Spread(covariance, 0.0, period, odd)
+
+
+def _within(difference: Array, covariance: Array, tolerance: float) -> bool:
+    """Is a difference of two covariances small beside the standard deviations?"""
+    deviations = np.sqrt(np.diag(covariance))
+    return bool(np.all(np.abs(difference) <= tolerance * np.outer(deviations, deviations)))
+
+
+def _times(parameters: KalmanParameters, spread: Spread, after: float) -> tuple[bool, float, float]:
+    """Is it the usual time; period and odd time as they are then. What comes twice in a row is usual."""
+    if _near(parameters, after, spread.period):
+        return True, spread.period, 0.0
+    if spread.period == 0.0 or _near(parameters, after, spread.odd):
+        return True, after, 0.0
+    return False, spread.period, after
+
+
+def _near(parameters: KalmanParameters, time: float, usual: float) -> bool:
+    return abs(time - usual) <= parameters.period_tolerance * usual

@@ -1,0 +1,150 @@
+"""A channel's covariance rests where the Riccati equation says, and filterpy is asked no more then."""
+
+from collections.abc import Iterable
+
+import numpy as np
+import pytest
+from filterpy.kalman import KalmanFilter
+
+from kffa_offboard.control import kalman
+from kffa_offboard.control.covariance import Spread, at_rest, corrected, later
+from kffa_offboard.control.kalman import KalmanParameters
+from kffa_offboard.control.observer import PlantModel
+
+MODEL = PlantModel(np.array([2.0, 24.0]), np.array([10.0, 0.0]), np.zeros(2))
+PATIENT = KalmanParameters(np.array([1e-5, 4e-6]), np.array([50.0, 100.0]), np.array([1e-4, 4e-4]))
+TOLERANT = KalmanParameters(
+    PATIENT.measurement_variance,
+    PATIENT.disturbance_intensity,
+    PATIENT.rate_variance,
+    period_tolerance=0.3,
+    rest_tolerance=0.02,
+)
+LITERAL = KalmanParameters(np.full(2, 1e-3), np.full(2, 1.0), model="literal")
+
+
+def begin(parameters: KalmanParameters, channel: int = 0) -> Spread:
+    return kalman.initial_state(parameters, np.zeros(2), np.zeros(2)).spreads[channel]
+
+
+def measured(
+    parameters: KalmanParameters, spread: Spread, times: Iterable[float], channel: int = 0
+) -> Spread:
+    for dt in times:
+        _, spread = corrected(parameters, MODEL, channel, True, spread, dt)
+    return spread
+
+
+@pytest.fixture
+def asked(monkeypatch) -> list[None]:
+    """Has an entry for each time that filterpy was asked."""
+    calls: list[None] = []
+    update = KalmanFilter.update
+
+    def counted(self, *arguments, **named) -> None:
+        calls.append(None)
+        update(self, *arguments, **named)
+
+    monkeypatch.setattr(KalmanFilter, "update", counted)
+    return calls
+
+
+@pytest.mark.parametrize("parameters", [PATIENT, LITERAL], ids=["extended", "literal"])
+@pytest.mark.parametrize("channel", [0, 1])
+@pytest.mark.parametrize("period", [0.004, 0.02])
+def test_it_comes_to_rest_where_the_riccati_equation_says(exact_model, parameters, channel, period) -> None:
+    spread = begin(parameters, channel)
+    for _ in range(3000):
+        _, spread = corrected.__wrapped__(parameters, MODEL, channel, True, spread, period)
+    (rest,) = at_rest(parameters, MODEL, channel, True, period)
+    matrix = begin(parameters, channel).covariance.matrix
+    deviations = np.sqrt(np.diag(rest.matrix))
+    for _ in range(6000):  # the same without ever taking it for what it is going to be
+        matrix = textbook(exact_model(parameters, MODEL, channel, period), parameters, channel, matrix)
+    assert np.max(np.abs(rest.matrix - matrix) / np.outer(deviations, deviations)) < 1e-9
+    assert spread.covariance is rest
+
+
+def textbook(model, parameters: KalmanParameters, channel: int, matrix):
+    f, noise = model
+    matrix = f @ matrix @ f.T + noise
+    variances = [parameters.measurement_variance[channel]]
+    if parameters.rate_variance is not None:
+        variances.append(parameters.rate_variance[channel])
+    for row, variance in enumerate(variances):
+        gain = matrix[:, row] / (matrix[row, row] + variance)
+        matrix = matrix - np.outer(gain, matrix[row])
+    return 0.5 * (matrix + matrix.T)
+
+
+def test_at_rest_filterpy_is_asked_nothing_whatever_the_jitter_of_whole_milliseconds(asked) -> None:
+    spread = measured(TOLERANT, begin(TOLERANT), [0.01] * 200)
+    assert 10 < len(asked) < 100
+    asked.clear()
+    measured(TOLERANT, spread, [0.009, 0.011, 0.010, 0.012, 0.008] * 20)
+    assert len(asked) <= 5  # once for each of these times
+
+
+def test_a_late_sample_is_forgotten_in_time_and_the_next_like_it_costs_nothing(asked) -> None:
+    spread = measured(TOLERANT, begin(TOLERANT), [0.01] * 200)
+    (rest,) = at_rest(TOLERANT, MODEL, 0, True, 0.01)
+    asked.clear()
+    assert measured(TOLERANT, spread, [0.03]).covariance is not rest
+    assert measured(TOLERANT, spread, [0.03] + [0.01] * 40).covariance is rest
+    assert 1 < len(asked) <= 41
+    asked.clear()
+    measured(TOLERANT, spread, ([0.03] + [0.01] * 40) * 3)
+    assert asked == []
+
+
+def test_a_late_sample_has_the_gain_of_its_own_time() -> None:
+    gains = []
+    for parameters in (PATIENT, TOLERANT):
+        spread = measured(parameters, begin(parameters), [0.01] * 3000)
+        gains.append(corrected(parameters, MODEL, 0, True, spread, 0.05)[0])
+    np.testing.assert_allclose(gains[1], gains[0], rtol=1e-9)
+
+
+def test_being_at_rest_moves_the_gain_by_a_fiftieth_at_most() -> None:
+    patient, tolerant = begin(PATIENT), begin(TOLERANT)
+    for _ in range(400):
+        exact, patient = corrected(PATIENT, MODEL, 0, True, patient, 0.01)
+        near, tolerant = corrected(TOLERANT, MODEL, 0, True, tolerant, 0.01)
+        assert np.all(np.abs(near - exact) <= 0.02 * np.abs(exact).max(axis=0))
+
+
+def test_a_channel_that_is_measured_at_every_second_step_comes_to_rest_too(asked) -> None:
+    state = kalman.initial_state(TOLERANT, np.zeros(2), np.zeros(2))
+    both, one = np.array([True, True]), np.array([True, False])
+
+    def fly(state: kalman.KalmanState) -> kalman.KalmanState:
+        for fresh in (both, one) * 200:
+            state, _ = kalman.step(TOLERANT, MODEL, state, np.zeros(2), np.zeros(2), fresh, 0.01, np.zeros(2))
+        return state
+
+    state = fly(state)
+    assert [spread.period for spread in state.spreads] == [0.01, 0.02]
+    asked.clear()
+    fly(state)
+    assert asked == []
+
+
+def test_what_comes_twice_in_a_row_is_the_usual_time() -> None:
+    spread = measured(TOLERANT, begin(TOLERANT), [0.01] * 10)
+    assert measured(TOLERANT, spread, [0.02]).period == 0.01
+    assert measured(TOLERANT, spread, [0.02, 0.01, 0.02]).period == 0.01
+    assert measured(TOLERANT, spread, [0.02, 0.02]).period == 0.02
+
+
+def test_the_literal_noise_is_added_in_every_step_and_the_others_grows_with_time(exact_model) -> None:
+    for parameters in (LITERAL, PATIENT):
+        state = kalman.initial_state(parameters, np.zeros(2), np.zeros(2))
+        spread = state.spreads[0]
+        for _ in range(3):
+            spread = later(parameters, MODEL, 0, spread, 0.01)
+        grown = kalman.covariances(parameters, MODEL, state._replace(spreads=(spread, state.spreads[1])))[0]
+        matrix = state.spreads[0].covariance.matrix
+        for _ in range(3):
+            f, noise = exact_model(parameters, MODEL, 0, 0.01)
+            matrix = f @ matrix @ f.T + noise
+        np.testing.assert_allclose(grown, matrix, rtol=1e-6)
