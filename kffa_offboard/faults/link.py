@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from dataclasses import replace
 
 from kffa_offboard.faults.barrier import BarrierFaults
 from kffa_offboard.mavlink.transport import Datagram, Link
@@ -43,7 +42,7 @@ class FaultyLink:
     def receive(self, timeout_s: float) -> list[Datagram]:
         """See `transport.Link`."""
         return [
-            replace(datagram, data=data)
+            datagram._replace(data=data)
             for datagram in self.inner.receive(timeout_s)
             for data in self.faults.from_vehicle(datagram.data)
         ]

@@ -118,9 +118,12 @@ class RealTimeLoop:
 
         Raises UserError if no vehicle has answered in time.
         """
-        session, now_us = self.session, self._clock()
+        session = self.session
         if session.done:
             return False
+        if session.connected and self._let_go_by_us is None and not self._stop.is_set():
+            return True
+        now_us = self._clock()
         if self._stop.is_set() and self._let_go_by_us is None:
             self._let_go_by_us = now_us + round(RELEASE_LIMIT_S * 1e6) if session.connected else now_us
             session.request(now_us, ReleaseRequested("stop requested"))
@@ -141,7 +144,7 @@ class RealTimeLoop:
     def turn(self, datagrams: Sequence[Datagram]) -> None:
         """Handle what arrived, do what is due, report."""
         session = self.session
-        self._watch_deadline(self._due_us, self._clock())
+        self._watch_deadline(self._due_us, datagrams[0].time_us if datagrams else self._clock())
         for datagram in datagrams:
             for message in session.read(datagram):
                 if take_message(session, datagram.time_us, message):

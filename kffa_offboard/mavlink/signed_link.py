@@ -10,7 +10,7 @@ import logging
 import os
 from collections import Counter
 from collections.abc import Hashable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -141,7 +141,7 @@ class SignedLink:
             self._news = ""
             data = self._genuine(datagram)
             if data or self._news:
-                checked.append(replace(datagram, data=data, notice=self._news))
+                checked.append(datagram._replace(data=data, notice=self._news))
         return checked
 
     def send(self, data: bytes) -> bool:

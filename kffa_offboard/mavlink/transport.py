@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from dataclasses import dataclass
-from typing import Protocol, TypeAlias
+from typing import NamedTuple, Protocol, TypeAlias
 
 Clock: TypeAlias = Callable[[], int]
 """Tells the time in integer microseconds and never goes back."""
 
 
-@dataclass(frozen=True, slots=True)
-class Datagram:
+class Datagram(NamedTuple):
     """Bytes that arrived together.
 
     `time_us` is the time of reading on the link's clock; `source` tells senders apart (each has its own

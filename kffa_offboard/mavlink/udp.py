@@ -104,6 +104,7 @@ class UdpLink:
         """See `transport.Link`. Of others than the locked sender ten datagrams a second are shown."""
         select.select([self._socket], [], [], max(timeout_s, 0.0))
         datagrams: list[Datagram] = []
+        now_us: int | None = None
         for _ in range(DATAGRAMS_AT_ONCE):
             try:
                 data, ancillary, _, source = self._socket.recvmsg(DATAGRAM_SIZE, _ANCILLARY_SIZE)
@@ -118,7 +119,7 @@ class UdpLink:
                 self.trouble = ""
             elif self._is_due(now_us := self._clock()):
                 datagrams.append(Datagram(now_us, data, source, stranger=True))
-        self._received_us = self._clock()
+        self._received_us = self._clock() if now_us is None else now_us
         return datagrams
 
     def _is_due(self, now_us: int) -> bool:

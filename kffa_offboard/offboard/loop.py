@@ -316,7 +316,7 @@ def _send(
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
     loop = loop._replace(
-        controller=controllers.with_applied(settings.controller, loop.controller, applied),
+        controller=_told(settings, loop.controller, output, applied),
         vertical_thrust=float(sent[3] if flown is None else flown[3]),
         carrying=follow(loop.carrying, checked.target.thrust, since),
         sent=checked.target,
@@ -325,6 +325,18 @@ def _send(
     if sent is not wanted:
         output = output._replace(saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
     return loop, LoopStep(checked.target, trace._replace(output=output, command=sent, applied=applied))
+
+
+def _told(
+    settings: ServiceSettings,
+    controller: controllers.ControllerState,
+    output: controllers.ControllerOutput,
+    applied: Array,
+) -> controllers.ControllerState:
+    """The controller, told which command acts; its own it knows."""
+    if applied is output.command:
+        return controller
+    return controllers.with_applied(settings.controller, controller, applied)
 
 
 def _wish(
@@ -355,20 +367,20 @@ def _wish(
 def signals(trace: Trace, state_name: str, latency_s: float) -> Signals:
     """The trace of a step in plain numbers; what it does not know is the service's state and the latency."""
     output = trace.output
-    return Signals(
-        time_us=trace.time_us,
-        state=state_name,
-        reference=tuple(output.reference.tolist()),
-        reference_rate=tuple(output.reference_rate.tolist()),
-        measurement=tuple(trace.measured.tolist()),
-        estimate=tuple(output.estimate.tolist()),
-        estimate_rate=tuple(output.estimate_rate.tolist()),
-        disturbance=tuple(output.disturbance.tolist()),
-        omega_c=tuple(output.omega_c.tolist()),
-        command=tuple(trace.command.tolist()),
-        applied=tuple(trace.applied.tolist()),
-        saturated=tuple(output.saturated.tolist()),
-        dt=trace.dt,
-        latency_s=latency_s,
-        position_reference=trace.place,
+    return Signals(  # by place: names would cost three times as much
+        trace.time_us,
+        state_name,
+        tuple(output.reference.tolist()),
+        tuple(output.reference_rate.tolist()),
+        tuple(trace.measured.tolist()),
+        tuple(output.estimate.tolist()),
+        tuple(output.estimate_rate.tolist()),
+        tuple(output.disturbance.tolist()),
+        tuple(output.omega_c.tolist()),
+        tuple(trace.command.tolist()),
+        tuple(trace.applied.tolist()),
+        tuple(output.saturated.tolist()),
+        trace.dt,
+        latency_s,
+        trace.place,
     )
