@@ -4,6 +4,7 @@ import errno
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 
 import pytest
@@ -107,6 +108,26 @@ def test_a_full_disk_is_reported_at_the_end_and_does_not_stop_the_flight(tmp_pat
     ):
         writer.close()
     writer.close()
+
+
+def test_what_comes_faster_than_in_a_flight_does_not_wait_until_the_period_is_over(tmp_path, monkeypatch):
+    path, written = tmp_path / "flight.tlog", threading.Event()
+
+    class Watched(SmallDisk):
+        def write(self, data):
+            taken = super().write(data)
+            written.set()
+            return taken
+
+    monkeypatch.setattr(writing, "_create", lambda path: Watched(path, 1_000_000))
+    monkeypatch.setattr(writing, "FLUSH_PERIOD_S", 3600.0)
+    count = writing.BATCH_SIZE + 1
+    with TlogWriter(path) as writer:
+        for n in range(count):
+            assert not written.is_set()
+            writer.write(START_US + n, attitude(n))
+        assert written.wait(10.0)
+    assert times_in(path) == list(range(count))
 
 
 WRITE_UNTIL_KILLED = """
