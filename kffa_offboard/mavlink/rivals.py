@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from typing import ClassVar
 
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.offboard.events import IntrusionNoticed
@@ -15,8 +16,6 @@ SETPOINTS = frozenset(
         "SET_ACTUATOR_CONTROL_TARGET",
     )
 )
-
-_WATCHED = SETPOINTS | {"ATTITUDE", "HEARTBEAT", "SETUP_SIGNING"}
 
 BACK_MS = 250
 """Telemetry that is older than the one before by more than this was not merely overtaken."""
@@ -31,6 +30,9 @@ SENT_KEPT = 256
 
 class RivalWatch:
     """Looks at every message, and decides from messages alone, so that a replayed flight notices the same."""
+
+    MESSAGES: ClassVar = SETPOINTS | {"ATTITUDE", "HEARTBEAT", "SETUP_SIGNING"}
+    """What `watch` looks at."""
 
     def __init__(self, route: Route) -> None:
         self._route = route
@@ -48,10 +50,8 @@ class RivalWatch:
         return bytes(message.get_msgbuf()) not in self._sent
 
     def watch(self, time_us: int, message: Message) -> IntrusionNoticed | None:
-        """What is wrong about a message, or None."""
+        """What is wrong about a message, or None; there is nothing wrong about others than `MESSAGES`."""
         kind = message.get_type()
-        if kind not in _WATCHED:
-            return None
         if self._route.from_target(message):
             if kind == "ATTITUDE":
                 return self._watch_time(time_us, message.time_boot_ms)

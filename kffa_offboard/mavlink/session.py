@@ -220,7 +220,7 @@ class Session:
         if self._recorder is not None:
             self._recorder.write(time_us, bytes(message.get_msgbuf()))
         kind, from_target = message.get_type(), self.route.from_target(message)
-        noticed = self._rivals.watch(time_us, message)
+        noticed = self._rivals.watch(time_us, message) if kind in RivalWatch.MESSAGES else None
         if noticed is not None:
             self.tell(time_us, noticed)
         if from_target:
@@ -265,7 +265,8 @@ class Session:
 
     def tell(self, time_us: int, event: Event) -> None:
         """Do what is due before `time_us`, then hand an event to the service and send what it answers."""
-        self.advance(time_us)
+        if time_us != self._time_us or not self._due_known or self._is_due(time_us):
+            self.advance(time_us)
         self._observe(time_us, event)
         self._due_known = False
         self._dispatch(time_us, self.service.handle(time_us, event))
@@ -287,6 +288,9 @@ class Session:
                 self._follow_parameters(due_us)
             self._companion.advance(due_us)
             self._reply(due_us)
+
+    def _is_due(self, time_us: int) -> bool:
+        return self._due_us is not None and self._due_us <= time_us
 
     def next_deadline(self) -> int | None:
         """When `advance` must be called next, us; None if nothing is due without an event."""
