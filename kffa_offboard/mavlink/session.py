@@ -10,15 +10,16 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 from kffa_offboard.mavlink import parameter_keeper
 from kffa_offboard.mavlink.autopilot import GuidedMode
 from kffa_offboard.mavlink.commands import EncodingError, is_timesync_request, timesync_answer
 from kffa_offboard.mavlink.companion import Companion
-from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
+from kffa_offboard.mavlink.component import Component, Message, Route
 from kffa_offboard.mavlink.parameter_file import ChangedParameter
 from kffa_offboard.mavlink.parameter_keeper import ParameterKeeper
+from kffa_offboard.mavlink.reception import Reception
 from kffa_offboard.mavlink.rivals import RivalWatch
 from kffa_offboard.mavlink.transport import Datagram, Link
 from kffa_offboard.mavlink.vehicle import Vehicle
@@ -44,9 +45,6 @@ Observer: TypeAlias = Callable[[int, Event | Output | ProcessReport], None]
 
 ProcessRequest: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | PutBackRequested
 """What comes in no MAVLink message, but from the daemon's own process or its link."""
-
-MOST_NOTICES = 16
-"""So many of the link's own observations wait to be told at most."""
 
 
 class OffboardService(Protocol):
@@ -96,7 +94,6 @@ class Counters:
     commands_sent: int = 0
     frames_sent: int = 0
     frames_dropped: int = 0
-    bytes_received: int = 0
 
 
 class Session:
@@ -143,11 +140,9 @@ class Session:
         self.counters = Counters()
         self.connected = False
         self.refusal: str | None = None
-        self.heard: set[tuple[int, int]] = set()
         self._time_us: int | None = None
         self._component = Component(route)
         self._vehicle = Vehicle(route, guided_mode)
-        self._parser = FrameParser(link.keeps_frames_whole)
         self._recorder = recorder
         self._observer = observer
         self._on_connected = tuple(on_connected)
@@ -155,61 +150,18 @@ class Session:
         self._companion = companion or Companion(route)
         self._compare_clocks = compare_clocks
         self._rivals = RivalWatch(route)
-        self._notices: list[IntrusionNoticed] = []
+        self._reception = Reception(link, route, self._rivals)
         self._due_us: int | None = None
         self._due_known = False  # what is done here may change what is due
 
     def read(self, datagram: Datagram) -> list[Message]:
-        """Messages in a datagram. The first one of the target ties the link to its sender.
-
-        What comes under our own ids is left out, and whatever strangers say.
-        """
-        self.counters.bytes_received += len(datagram.data)
-        if datagram.notice:
-            self._notice(datagram.notice, "said")
-        messages = self._parser.parse(datagram)
-        if datagram.stranger:
-            self._look_at_stranger(datagram, messages)
-            return []
-        route, ours = self.route, False
-        for message in messages:
-            header = message.get_header()
-            sender = header.srcSystem, header.srcComponent
-            if sender not in self.heard and sender != (0, 0):  # what pymavlink cannot decode has no sender
-                self.heard.add(sender)
-            if sender == (route.target_system, route.target_component):
-                self.link.lock(datagram.source)
-            ours = ours or sender == (route.own_system, route.own_component)
-        return self._without_own(messages) if ours else messages
+        """See `Reception.read`."""
+        return self._reception.read(datagram)
 
     def report_notices(self, time_us: int) -> None:
         """Tell the service what was noticed about the link itself, and record it."""
-        notices, self._notices = self._notices, []
-        for noticed in notices:
+        for noticed in self._reception.take_notices():
             self.request(time_us, noticed)
-
-    def _notice(self, text: str, consequence: Literal["said", "forbids", "ends"]) -> None:
-        if len(self._notices) < MOST_NOTICES:
-            self._notices.append(IntrusionNoticed(text, consequence))
-
-    def _look_at_stranger(self, datagram: Datagram, messages: list[Message]) -> None:
-        """A vehicle with the same id beside the one that the link is tied to."""
-        if any(self.route.from_target(message) for message in messages):
-            source = datagram.source
-            place = f"{source[0]}:{source[1]}" if isinstance(source, tuple) else str(source)
-            ids = f"{self.route.target_system}/{self.route.target_component}"
-            self._notice(f"another vehicle is {ids}: {place}", "forbids")
-
-    def _without_own(self, messages: list[Message]) -> list[Message]:
-        """Leave out what is under our own ids: an echo, or a second daemon. The log takes it for ours."""
-        own = (self.route.own_system, self.route.own_component)
-        others = []
-        for message in messages:
-            if (message.get_srcSystem(), message.get_srcComponent()) != own:
-                others.append(message)
-            elif self._rivals.is_impostor(message):
-                self._notice(f"somebody else is {own[0]}/{own[1]}: a second daemon?", "forbids")
-        return others
 
     def handle(self, time_us: int, message: Message) -> bool:
         """Do what is due before `time_us`, then record one message and tell the service what it says.
@@ -384,7 +336,17 @@ class Session:
     @property
     def damaged_bytes(self) -> int:
         """Bytes received that were no part of a valid frame."""
-        return self._parser.damaged_bytes
+        return self._reception.damaged_bytes
+
+    @property
+    def bytes_received(self) -> int:
+        """All that came, whatever it was."""
+        return self._reception.bytes_received
+
+    @property
+    def heard(self) -> set[tuple[int, int]]:
+        """System and component of everybody who has said something."""
+        return self._reception.heard
 
     def _dispatch(self, time_us: int, outputs: Sequence[Output]) -> None:
         refusal: str | None = None

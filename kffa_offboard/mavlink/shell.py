@@ -299,9 +299,9 @@ def no_vehicle(session: Session, timeout_s: float) -> UserError:
             f"heard only {others} (system/component), not {route.target_system}/{route.target_component}; "
             "is link.target_system right?"
         )
-    elif session.counters.bytes_received:
+    elif session.bytes_received:
         hint = (
-            f"{session.counters.bytes_received} bytes arrived, but they are not MAVLink; "
+            f"{session.bytes_received} bytes arrived, but they are not MAVLink; "
             "is the port (serial: the baud rate) right?"
         )
     elif session.link.trouble:
