@@ -19,6 +19,7 @@ from kffa_offboard.mavlink.transport import Datagram
 from kffa_offboard.offboard.events import ProcessReport, Signals
 from kffa_offboard.offboard.service import Service
 from kffa_offboard.replay.recording import Frame, Recording, is_report, is_request
+from kffa_offboard.replay.uncollected import uncollected
 
 
 @dataclass
@@ -103,6 +104,7 @@ def replay_what_if(recording: Recording, flown: DaemonConfig, config: DaemonConf
     return replay(recording, config, applied)
 
 
+@uncollected()
 def replay(recording: Recording, config: DaemonConfig, flown: Mapping[int, Array] | None = None) -> Replayed:
     """Drive the session of `config` through everything that came in, at the times when it came.
 

@@ -15,6 +15,7 @@ from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.flightlog.writer import following_parts
 from kffa_offboard.frame_codec import decode
 from kffa_offboard.offboard.events import ProcessReport
+from kffa_offboard.replay.uncollected import uncollected
 
 Incoming: TypeAlias = tuple[int, Any]
 """Time [us] and a received message, or a request or report of the daemon's own process."""
@@ -52,6 +53,7 @@ class Recording:
     end_us: int
 
 
+@uncollected()
 def read_recording(path: Path) -> Recording:
     """Read a flight from its first file, and from the further ones (FLIGHT-2.tlog, ...) if there are any.
 

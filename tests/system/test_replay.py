@@ -1,5 +1,6 @@
 """A recorded flight flown again from its log: the same commands, byte for byte."""
 
+import gc
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -239,3 +240,22 @@ def that_loses_mode_commands_after_the_stop(flight):
             return True if lost and flight.stop.is_set() else super().send(data)
 
     return Link
+
+
+def test_the_garbage_collector_rests_in_a_replay_has_little_to_do_after_it_and_goes_on(drop) -> None:
+    recording = read_recording(drop)
+    config = config_of(recording.header, drop)
+    gc.collect()
+    collected = []
+    watch = lambda phase, about: collected.append(gc.isenabled())  # noqa: E731  # gc takes any callable
+    gc.callbacks.append(watch)
+    try:
+        replayed = replay(recording, config)
+        assert len(collected) < 10 and all(collected)  # one when it is over
+    finally:
+        gc.callbacks.remove(watch)
+    assert gc.isenabled()
+    assert gc.collect() < len(replayed.sent)
+    with pytest.raises(UserError):
+        read_recording(drop.with_name("missing.tlog"))
+    assert gc.isenabled()
