@@ -287,12 +287,17 @@ def _step_controller(
     inputs = controllers.ControllerInput(np.array(reference), measured, fresh, _measured_rate(known))
     controller, output = controllers.step(parameters, controller, inputs, dt)
     altitude, climb_rate = float(output.estimate[3]), float(output.estimate_rate[3])
-    loop = loop._replace(
-        controller=controller,
-        position_us=known.position.sample_time_us,
-        altitude=altitude,
-        hold_altitude=altitude + settings.reference_lag_s * climb_rate,
-        horizontal=horizontal,
+    loop = LoopState(  # by place, in a third of the time of `_replace`
+        controller,
+        known.position.sample_time_us,
+        altitude,
+        altitude + settings.reference_lag_s * climb_rate,
+        loop.vertical_thrust,
+        loop.carrying,
+        loop.sent,
+        loop.sent_us,
+        loop.blend,
+        horizontal,
     )
     return loop, measured, output
 
@@ -315,16 +320,22 @@ def _send(
         return loop, LoopStep(None, trace._replace(command=wanted, applied=wanted), checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
-    loop = loop._replace(
-        controller=_told(settings, loop.controller, output, applied),
-        vertical_thrust=float(sent[3] if flown is None else flown[3]),
-        carrying=follow(loop.carrying, checked.target.thrust, since),
-        sent=checked.target,
-        sent_us=time_us,
+    loop = LoopState(
+        _told(settings, loop.controller, output, applied),
+        loop.position_us,
+        loop.altitude,
+        loop.hold_altitude,
+        float(sent[3] if flown is None else flown[3]),
+        follow(loop.carrying, checked.target.thrust, since),
+        checked.target,
+        time_us,
+        loop.blend,
+        loop.horizontal,
     )
     if sent is not wanted:
         output = output._replace(saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
-    return loop, LoopStep(checked.target, trace._replace(output=output, command=sent, applied=applied))
+    trace = Trace(time_us, trace.dt, trace.place, trace.measured, output, sent, applied)
+    return loop, LoopStep(checked.target, trace)
 
 
 def _told(
