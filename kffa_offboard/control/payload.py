@@ -162,7 +162,7 @@ def reset(state: PayloadState, rate: Array, load_ratio: Array, std: Array) -> Pa
 
 def send(state: PayloadState, thrust: Array) -> PayloadState:
     """Collective `thrust` goes out at this moment."""
-    return state._replace(thrust=actuator.send(state.thrust, thrust[None]))
+    return PayloadState(actuator.send(state.thrust, thrust[None]), *state[1:])
 
 
 def load(parameters: PayloadParameters, state: PayloadState) -> tuple[Array, Array]:
@@ -182,8 +182,29 @@ def accept(parameters: PayloadParameters, state: PayloadState) -> PayloadState:
 
 def advance(parameters: PayloadParameters, state: PayloadState, dt: float) -> PayloadState:
     """Move the commands under way by `dt` s; that is all while the vehicle does not fly freely."""
-    queue, acted = actuator.step(parameters.actuator, state.thrust, dt)
-    return state._replace(thrust=queue, acted=acted[0])
+    if np.ndim(state.acted) == 0:
+        queue, acted = _move_one(parameters.actuator, state.thrust, dt)
+        return PayloadState(queue, np.array(acted), *state[2:])
+    queue, together = actuator.step(parameters.actuator, state.thrust, dt)
+    return state._replace(thrust=queue, acted=together[0])
+
+
+def _move_one(
+    parameters: actuator.ActuatorParameters, state: actuator.ActuatorState, dt: float
+) -> tuple[actuator.ActuatorState, float]:
+    """`actuator.step` for the thrust of one vehicle, in plain floats: jitter makes ages new in each step."""
+    seen = actuator.window(parameters, actuator.NOW, dt, state.lagged.ndim)
+    delay, span, held, decay = (number.item() for number in seen)
+    ages = actuator.aged(state.ages, dt)
+    since = [min(max(age - delay, 0.0), span) for age in ages]
+    mean = 0.0
+    for begun, ended, (command,) in zip(since, (*since[1:], 0.0), state.commands.tolist(), strict=True):
+        mean += (begun - ended) / span * command
+    transient = float(state.lagged[0]) - mean
+    over = actuator.count_over(parameters, ages)
+    lagged = np.array([mean + decay * transient])
+    queue = actuator.ActuatorState(actuator.kept(ages, over), state.commands[over:], lagged)
+    return queue, mean + held * transient
 
 
 def step(
@@ -201,9 +222,13 @@ def step(
     rate : measured climb rate, m/s; read if `fresh`
     tilt_factor : cos(roll) cos(pitch), as measured
     """
-    queue, (acted,) = actuator.step(parameters.actuator, state.thrust, dt)
-    if np.ndim(rate) == 0 and isinf(state.suspected):
-        return _straight_step(parameters, state, queue, float(acted), rate, tilt_factor, fresh, dt)
+    if np.ndim(rate) == 0:
+        queue, thrust = _move_one(parameters.actuator, state.thrust, dt)
+        if isinf(state.suspected):
+            return _straight_step(parameters, state, queue, thrust, rate, tilt_factor, fresh, dt)
+        acted = np.array(thrust)
+    else:
+        queue, (acted,) = actuator.step(parameters.actuator, state.thrust, dt)
     state = _filter(parameters, state, acted, rate, tilt_factor, fresh, dt)
     return _decide(parameters, state._replace(thrust=queue), rate, dt)
 

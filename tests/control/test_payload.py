@@ -170,3 +170,21 @@ def test_one_flight_is_the_same_in_a_batch():
         many, b = payload.step(PARAMETERS, many, np.full(3, rate), np.ones(3), k % 2 == 0, DT)
         one, many = payload.send(one, np.array(0.5)), payload.send(many, np.full(3, 0.5))
     assert np.allclose(b.mass, a.mass) and np.allclose(b.std, a.std)
+
+
+@pytest.mark.parametrize("flying", [True, False])
+def test_with_jitter_the_thrust_of_one_vehicle_moves_as_that_of_a_batch(flying):
+    generator = np.random.default_rng(5)
+    one = payload.initial_state(np.array(HOVER), np.array(0.1))
+    batch = payload.initial_state(np.full(1, HOVER), np.full(1, 0.1))
+    for dt in generator.choice([0.003, 0.004, 0.005, 0.03, 0.3], 400, p=[0.3, 0.3, 0.3, 0.08, 0.02]):
+        if flying:
+            one, _ = payload.step(PARAMETERS, one, np.array(0.1), np.array(1.0), True, float(dt))
+            batch, _ = payload.step(PARAMETERS, batch, np.full(1, 0.1), np.ones(1), True, float(dt))
+        else:
+            one, batch = (payload.advance(PARAMETERS, state, float(dt)) for state in (one, batch))
+        assert float(one.acted) == pytest.approx(batch.acted[0], rel=1e-14)
+        assert one.thrust.ages == batch.thrust.ages
+        assert one.thrust.lagged[0] == pytest.approx(batch.thrust.lagged[0, 0], rel=1e-14)
+        thrust = generator.uniform(0.3, 0.7)
+        one, batch = payload.send(one, np.array(thrust)), payload.send(batch, np.full(1, thrust))
