@@ -49,6 +49,8 @@ class KalmanParameters:
         Measurements that come after nearly the usual time have its gain; 0 gives each its own.
     rest_tolerance : share of the standard deviations
         A covariance that differs by no more from where it comes to rest is taken for that.
+    late_tolerance : share of the period
+        A single measurement that comes late by no more has its own gain, but leaves the covariance at rest.
     """
 
     measurement_variance: Array
@@ -58,6 +60,7 @@ class KalmanParameters:
     process_variance: Array | None = None
     period_tolerance: float = 0.0
     rest_tolerance: float = 1e-9
+    late_tolerance: float = 0.0
 
     @property
     def states(self) -> int:
@@ -177,7 +180,8 @@ def corrected(
     kalman.update(0.0, R=r, H=h)
     covariance = Covariance(np.asarray(kalman.P))
     (rest,) = at_rest(parameters, model, channel, with_rate, period)
-    if _within(covariance.matrix - rest.matrix, rest.matrix, parameters.rest_tolerance):
+    forgiven = spread.covariance is rest and after <= (1.0 + parameters.late_tolerance) * period
+    if forgiven or _within(covariance.matrix - rest.matrix, rest.matrix, parameters.rest_tolerance):
         covariance = rest
     return np.asarray(kalman.K), Spread(covariance, 0.0, period, odd)
 

@@ -25,6 +25,9 @@ REST_TOLERANCE = 0.02
 """Of the Kalman filter: a fifth of a second after a late sample gains are at rest again, with a jump of a
 fiftieth at most."""
 
+LATE_TOLERANCE = 1.0
+"""Of the Kalman filter: one lost sample, or one late by a period, is no reason to leave rest."""
+
 
 @dataclass(frozen=True)
 class DesignSettings:
@@ -170,6 +173,7 @@ def _kalman(settings: DesignSettings) -> kalman.KalmanParameters:
         "literal" if settings.literal_filter else "extended",
         period_tolerance=PERIOD_TOLERANCE,
         rest_tolerance=REST_TOLERANCE,
+        late_tolerance=LATE_TOLERANCE,
     )
 
 

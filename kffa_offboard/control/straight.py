@@ -36,7 +36,7 @@ LAWS = 32
 """Sets of parameters whose functions are kept."""
 
 REMEMBERED = 32
-"""Coefficients that are kept for each of them; beyond it the oldest is forgotten."""
+"""Coefficients that are kept for each of them; beyond it what was needed longest ago is forgotten."""
 
 
 _ANY_STEP = 0.01  # s; the function is the same for all
@@ -86,12 +86,12 @@ class Law:
             state.observer.elapsed.tobytes(),
             None if state.kalman is None else state.kalman.spreads,
         )
-        known = self._found.get(key)
+        known = self._found.pop(key, None)
         if known is None:
             found = coefficients(self._parameters, state, inputs, dt)
             numbers = [array.reshape(-1).tolist() for array in _coefficient_arrays(found)]
             known = Found(found, numbers + self._numbers, *_windows(found))
-            _keep(self._found, key, known)
+        _keep(self._found, key, known)  # as the latest
         return known
 
     def shares(self, state: ControllerState, found: Found, dt: float) -> tuple[Array, int, tuple[float, ...]]:

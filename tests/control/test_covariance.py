@@ -1,6 +1,7 @@
 """A channel's covariance rests where the Riccati equation says, and filterpy is asked no more then."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -148,3 +149,15 @@ def test_the_literal_noise_is_added_in_every_step_and_the_others_grows_with_time
             f, noise = exact_model(parameters, MODEL, 0, 0.01)
             matrix = f @ matrix @ f.T + noise
         np.testing.assert_allclose(grown, matrix, rtol=1e-6)
+
+
+def test_one_lost_sample_leaves_rest_where_it_is_and_has_its_own_gain_all_the_same() -> None:
+    forgiving = replace(TOLERANT, late_tolerance=1.0)
+    spread = measured(forgiving, begin(forgiving), [0.01] * 200)
+    (rest,) = at_rest(forgiving, MODEL, 0, True, 0.01)
+    late, after = corrected(forgiving, MODEL, 0, True, spread, 0.02)
+    assert after.covariance is rest and after.period == 0.01
+    own, _ = corrected(PATIENT, MODEL, 0, True, Spread(rest, period=0.01), 0.02)
+    np.testing.assert_allclose(late, own, rtol=1e-12)
+    assert measured(forgiving, spread, [0.021]).covariance is not rest
+    assert measured(forgiving, spread, [0.02, 0.02]).period == 0.02
