@@ -20,6 +20,7 @@ import numpy as np
 
 from kffa_offboard.control import Array, BoolArray
 from kffa_offboard.control.covariance import Covariance, KalmanParameters, Spread, corrected, later, predicted
+from kffa_offboard.control.memory import remember
 from kffa_offboard.control.observer import Discrete, PlantModel, discretised, moved
 
 __all__ = [
@@ -76,15 +77,19 @@ def initial_state(
         Standard deviation of the unknown first rate, output units/s.
     """
     zero = np.zeros_like(measurement)
-    variances = np.zeros((len(measurement), parameters.states))
+    balance = disturbance if parameters.states == 3 else zero
+    return KalmanState(measurement, zero, balance, _first_spreads(parameters, len(measurement), rate_std))
+
+
+@remember
+def _first_spreads(parameters: KalmanParameters, channels: int, rate_std: float) -> tuple[Spread, ...]:
+    """The same ones for each start, so that what follows from them is looked up, too."""
+    variances = np.zeros((channels, parameters.states))
     variances[:, 0] = parameters.measurement_variance
     variances[:, 1] = rate_std**2
     if parameters.states == 3:
         variances[:, 2] = parameters.disturbance_intensity
-    balance = disturbance if parameters.states == 3 else zero
-    return KalmanState(
-        measurement, zero, balance, tuple(Spread(Covariance(np.diag(channel))) for channel in variances)
-    )
+    return tuple(Spread(Covariance(np.diag(channel))) for channel in variances)
 
 
 def with_disturbance_step(parameters: KalmanParameters, state: KalmanState, step: Array) -> KalmanState:
