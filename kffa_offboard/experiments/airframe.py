@@ -13,6 +13,7 @@ rates. Motors ``(4, N)`` N: front, left, rear, right.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
@@ -28,6 +29,9 @@ YAW_MOMENT = 0.03  # m, a propeller's torque over its thrust
 STEP_S = 0.005
 
 Integrator = Literal["runge-kutta", "midpoint"]
+
+Vector = Sequence[Array] | Array
+"""Three rows."""
 
 #: Largest torque, N m: motors at 0 and 1; what the rate gains are relative to.
 FULL_TORQUE = 0.25 * THRUST * np.array([[ARM], [ARM], [2.0 * YAW_MOMENT]])
@@ -178,49 +182,80 @@ def derivatives(rigid: Array, wrench: Array, whole: Body, wind: Array) -> Array:
 
     The state holds the motion of the airframe's centre, `whole.center` away from the common centre of mass.
     """
-    (sr, sp, sy), (cr, cp, cy) = np.sin(rigid[6:9]), np.cos(rigid[6:9])
-    p, q, r = rigid[9:12]
-    srsp, crsp = sr * sp, cr * sp
-    # Columns of R: axes of the body in the world.
-    forward = np.array([cp * cy, cp * sy, -sp])
-    left = np.array([srsp * cy - cr * sy, srsp * sy + cr * cy, sr * cp])
-    up = np.array([crsp * cy + sr * sy, crsp * sy - sr * cy, cr * cp])
-    force = whole.drag * (wind - rigid[3:6])
-    fx, fy, fz = [np.add.reduce(force * axis) for axis in (forward, left, up)]
-    fz += wrench[0]
-    angular = _angular_acceleration(rigid[9:12], wrench, (fx, fy, fz), whole)
+    sines, cosines = np.sin(rigid[6:9]), np.cos(rigid[6:9])
+    body_rates = p, q, r = tuple(rigid[9:12])
+    fx, fy, fz = _to_body(whole.drag * (wind - rigid[3:6]), sines, cosines)
+    force = fx, fy, fz + wrench[0]
+    along = _dot(body_rates, whole.offset)
+    angular = _angular_acceleration(body_rates, along, wrench, force, whole)
     # What the centre of mass has on top: alpha x c + omega x (omega x c).
-    (ap, aq, ar), (cx, cy_, cz) = angular, whole.center
-    along, square = p * cx + q * cy_ + r * cz, p * p + q * q + r * r
-    sx = aq * cz - ar * cy_ + p * along - square * cx
-    sy_ = ar * cx - ap * cz + q * along - square * cy_
-    sz = ap * cy_ - aq * cx + r * along - square * cz
-    yaw_rate = (sr * q + cr * r) / cp
+    along, square = whole.share * along, _dot(body_rates, body_rates)
+    turned = _cross(angular, whole.center)
     rates = np.empty_like(rigid)
     rates[0:3] = rigid[3:6]
-    rates[3:6] = (fx / whole.mass - sx) * forward
-    rates[3:6] += (fy / whole.mass - sy_) * left
-    rates[3:6] += (fz / whole.mass - sz) * up
+    rates[3], rates[4], rates[5] = _to_world(
+        [
+            force[k] / whole.mass - turned[k] - along * body_rates[k] + square * whole.center[k]
+            for k in range(3)
+        ],
+        sines,
+        cosines,
+    )
     rates[5] -= GRAVITY
-    rates[6], rates[7], rates[8] = p + sp * yaw_rate, cr * q - sr * r, yaw_rate
-    rates[9:12] = angular
+    turning, rates[7] = _turn(r, q, sines[0], cosines[0])
+    yaw_rate = turning / cosines[1]
+    rates[6], rates[8] = p + sines[1] * yaw_rate, yaw_rate
+    rates[9], rates[10], rates[11] = angular
     return rates
 
 
 def _angular_acceleration(
-    body_rates: Array, wrench: Array, force: tuple[Array, Array, Array], whole: Body
-) -> tuple[Array, Array, Array]:
-    """About body x, y, z [rad/s^2], with `force` [N] at the airframe's centre, in body axes."""
-    (p, q, r), (ox, oy, oz), (cx, cy, cz) = body_rates, whole.offset, whole.center
-    fx, fy, fz = force
-    _, u2, u3, u4 = wrench
-    # -omega x (I omega), of which only the load's part is not zero.
-    turning = whole.reduced * (ox * p + oy * q + oz * r)
-    tx = ARM * (u2 - whole.drag * p) + (cz * fy - cy * fz) + turning * (q * oz - r * oy)
-    ty = ARM * (u3 - whole.drag * q) + (cx * fz - cz * fx) + turning * (r * ox - p * oz)
-    tz = u4 - whole.drag * r + (cy * fx - cx * fy) + turning * (p * oy - q * ox)
-    across = ox * tx + oy * ty
-    back = whole.reduced / INERTIA * (across + oz * tz)
-    lift = whole.reduced * (oz * across - (ox * ox + oy * oy) * tz)
-    inertia = whole.inertia
-    return (tx + ox * back) / inertia, (ty + oy * back) / inertia, (tz + lift / inertia) / INERTIA
+    body_rates: Vector, along: Array, wrench: Array, force: Vector, whole: Body
+) -> Vector:
+    """About body x, y, z [rad/s^2], with `force` [N] at the airframe's centre; both in body axes.
+
+    `along` is the rates' component along the load's offset, times that.
+    """
+    # -omega x (I omega), of which only the load's part is not zero, has the form of a force at the centre.
+    inertial = MASS * along
+    tx, ty, tz = _cross([force[k] + inertial * body_rates[k] for k in range(3)], whole.center)
+    p, q, r = body_rates
+    torque = (
+        tx + ARM * (wrench[1] - whole.drag * p),
+        ty + ARM * (wrench[2] - whole.drag * q),
+        tz + (wrench[3] - whole.drag * r),
+    )
+    back = whole.reduced / INERTIA * _dot(torque, whole.offset)
+    ax, ay, az = [(torque[k] + back * whole.offset[k]) / whole.inertia for k in range(3)]
+    return ax, ay, az
+
+
+def _turn(a: Array, b: Array, sine: Array, cosine: Array) -> tuple[Array, Array]:
+    """Two components in axes that are turned from the first towards the second."""
+    return cosine * a + sine * b, cosine * b - sine * a
+
+
+def _to_body(vector: Vector, sines: Array, cosines: Array) -> Vector:
+    """A vector of the world in body axes: turned by yaw, pitch and roll."""
+    x, y, z = vector
+    x, y = _turn(x, y, sines[2], cosines[2])
+    z, x = _turn(z, x, sines[1], cosines[1])
+    y, z = _turn(y, z, sines[0], cosines[0])
+    return x, y, z
+
+
+def _to_world(vector: Vector, sines: Array, cosines: Array) -> Vector:
+    """A vector of the body in the world's axes."""
+    x, y, z = vector
+    z, y = _turn(z, y, sines[0], cosines[0])
+    x, z = _turn(x, z, sines[1], cosines[1])
+    y, x = _turn(y, x, sines[2], cosines[2])
+    return x, y, z
+
+
+def _dot(a: Vector, b: Vector) -> Array:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
