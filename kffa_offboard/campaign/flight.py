@@ -66,22 +66,23 @@ class _DelayLine:
 
     def __init__(self, rows: Array, delay_s: Array, extra: int = 0) -> None:
         """`rows` ``(R, N)`` have been there for ever; `extra` is the most beyond `delay_s` ``(N,)``."""
-        self._late = np.rint(delay_s / STEP_S).astype(np.int64)
-        self._depth = int(self._late.max()) + extra + 1
-        self._held = np.repeat(rows[None], self._depth, axis=0)
-        self._place = np.arange(rows.size).reshape(rows.shape)
+        late = np.rint(delay_s / STEP_S).astype(np.int64)
+        self._longest = int(late.max())
+        self._depth = self._longest + extra + 1
+        # Everything twice, one depth apart, so that what lies behind the newest is never cut in two.
+        self._held = np.repeat(rows[None], 2 * self._depth, axis=0)
+        self._place = np.arange(rows.size).reshape(rows.shape) + (self._longest - late) * rows.size
         self._newest = 0
 
     def push(self, rows: Array) -> None:
         """At every step of the vehicle."""
         self._newest = (self._newest + 1) % self._depth
-        self._held[self._newest] = rows
+        self._held[self._newest] = self._held[self._newest + self._depth] = rows
 
     def read(self, rows: slice = slice(None), extra: int = 0) -> Array:
         """What has arrived by now of the chosen rows, `extra` steps later than the rest."""
-        behind = (self._newest - extra - self._late) % self._depth
-        place = self._place[rows] + behind * self._place.size
-        return self._held.reshape(-1).take(place)
+        latest = self._newest + self._depth - extra
+        return self._held[latest - self._longest :].reshape(-1).take(self._place[rows])
 
 
 class Batch:
