@@ -18,7 +18,7 @@ _DRAWN = 16  # numbers of each flight, some of them still unused
 _CONDITIONS, _NOISE = 0, 1
 
 _MEASURED, _GUSTS = 8, 3  # rows of random numbers
-_STEPS_AT_ONCE = 64
+_STEPS_AT_ONCE, _FLIGHTS_AT_ONCE = 64, 64  # drawn into what a processor's second-level cache holds
 
 
 @dataclass(frozen=True)
@@ -112,17 +112,23 @@ class _Normal:
 
     def __init__(self, seed: int, numbers: NDArray[np.int64]) -> None:
         self._generators = [_generator(seed, int(number), _NOISE) for number in numbers]
-        self._drawn = np.empty((len(numbers), _STEPS_AT_ONCE * (_MEASURED + _GUSTS)))
+        self._drawn = np.empty((_FLIGHTS_AT_ONCE, _STEPS_AT_ONCE * (_MEASURED + _GUSTS)))
         self._rows = np.empty((_STEPS_AT_ONCE, _MEASURED + _GUSTS, len(numbers)))
         self._next = _STEPS_AT_ONCE
 
     def step(self) -> Array:
         """The next rows ``(R, N)``; valid until they are drawn anew."""
         if self._next == _STEPS_AT_ONCE:
-            for generator, row in zip(self._generators, self._drawn, strict=True):
-                generator.standard_normal(out=row)
-            self._rows[:] = self._drawn.reshape(len(self._drawn), *self._rows.shape[:2]).transpose(1, 2, 0)
+            for first in range(0, len(self._generators), _FLIGHTS_AT_ONCE):
+                self._draw(slice(first, first + _FLIGHTS_AT_ONCE))
             self._next = 0
         rows = self._rows[self._next]
         self._next += 1
         return np.asarray(rows)
+
+    def _draw(self, flights: slice) -> None:
+        some = self._generators[flights]
+        for generator, row in zip(some, self._drawn, strict=False):
+            generator.standard_normal(out=row)
+        drawn = self._drawn[: len(some)].reshape(len(some), *self._rows.shape[:2])
+        self._rows[..., flights] = drawn.transpose(1, 2, 0)

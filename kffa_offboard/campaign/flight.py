@@ -136,7 +136,7 @@ class Batch:
 
     def _measurable(self) -> Array:
         """What the autopilot knows, in the order of the noise's rows."""
-        return self._rigid[[6, 7, 8, 9, 10, 11, 2, 5]]
+        return self._rigid.take((6, 7, 8, 9, 10, 11, 2, 5), axis=0)
 
     def _loaded(self) -> airframe.Body:
         return airframe.body(

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -24,6 +24,21 @@ Vector: TypeAlias = Array | Vector3
 _COSINE_FLOOR = 1e-3
 
 
+class Tilt(NamedTuple):
+    """Sines and cosines of roll and pitch, ``(N,)`` or one number each."""
+
+    sin_roll: Array
+    cos_roll: Array
+    sin_pitch: Array
+    cos_pitch: Array
+
+
+def tilt(euler: Vector) -> Tilt:
+    """Of Euler angles ``(3[, N])``."""
+    roll, pitch, _ = euler
+    return Tilt(np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch))
+
+
 def euler_rates_to_body_rates(euler: Vector, euler_rates: Vector) -> Array:
     """Body rates [rad/s] that turn the Euler angles `euler` [rad] at `euler_rates` [rad/s].
 
@@ -32,8 +47,12 @@ def euler_rates_to_body_rates(euler: Vector, euler_rates: Vector) -> Array:
     euler, euler_rates : (3[, N])
         Roll, pitch, yaw and their derivatives.
     """
-    roll, pitch, _ = euler
-    sin_roll, cos_roll, sin_pitch, cos_pitch = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    return to_body_rates(tilt(euler), euler_rates)
+
+
+def to_body_rates(tilted: Tilt, euler_rates: Vector) -> Array:
+    """`euler_rates_to_body_rates` with a known `tilt`."""
+    sin_roll, cos_roll, sin_pitch, cos_pitch = tilted
     roll_rate, pitch_rate, yaw_rate = euler_rates
     return np.stack(
         [
@@ -49,8 +68,12 @@ def body_rates_to_euler_rates(euler: Vector, body_rates: Vector) -> Array:
 
     Singular at pitch = +-90 degrees; there cos(pitch) is held at 1e-3, so the answer stays finite.
     """
-    roll, pitch, _ = euler
-    sin_roll, cos_roll, sin_pitch, cos_pitch = np.sin(roll), np.cos(roll), np.sin(pitch), np.cos(pitch)
+    return to_euler_rates(tilt(euler), body_rates)
+
+
+def to_euler_rates(tilted: Tilt, body_rates: Vector) -> Array:
+    """`body_rates_to_euler_rates` with a known `tilt`."""
+    sin_roll, cos_roll, sin_pitch, cos_pitch = tilted
     p, q, r = body_rates
     cos_pitch = np.copysign(np.maximum(np.abs(cos_pitch), _COSINE_FLOOR), cos_pitch)
     turning = sin_roll * q + cos_roll * r

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
@@ -51,7 +51,7 @@ class RateLoop:
     slope: Array
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Body:
     """Vehicle and load as one body; each ``(N,)`` unless said otherwise.
 
@@ -111,9 +111,9 @@ def body(
 def rate_loop(state: RateLoop, wanted: Array, measured: Array, dt: float = STEP_S) -> tuple[RateLoop, Array]:
     """One step of the autopilot's rate loop: torque ``(3, N)`` [N m] from body rates ``(3, N)`` [rad/s]."""
     share = 1.0 - np.exp(-2.0 * np.pi * DERIVATIVE_CUTOFF_HZ * dt)
-    slope = state.slope + share * ((measured - state.rates) / dt - state.slope)
+    slope = (1.0 - share) * state.slope + share / dt * (measured - state.rates)
     error = wanted - measured
-    integral = np.clip(state.integral + RATE_I * error * dt, -RATE_INTEGRAL_LIMIT, RATE_INTEGRAL_LIMIT)
+    integral = np.clip(state.integral + RATE_I * dt * error, -RATE_INTEGRAL_LIMIT, RATE_INTEGRAL_LIMIT)
     asked = RATE_P * error + integral - RATE_D * slope
     return RateLoop(integral, measured, slope), FULL_TORQUE * np.clip(asked, -1.0, 1.0)
 
@@ -131,10 +131,11 @@ def mix(thrust: Array, torque: Array) -> Array:
     lift = np.minimum(np.clip(thrust, 0.0, 1.0), np.maximum(1.0 - spread, 0.5))
     scale = np.minimum(np.minimum(lift, 1.0 - lift) / np.maximum(spread, 1e-200), 1.0)
     roll, pitch = roll * scale, pitch * scale
-    most = np.maximum(np.minimum(1.0 - lift - np.abs(pitch), lift - np.abs(roll)), 0.0)
-    least = np.maximum(np.minimum(lift - np.abs(pitch), 1.0 - lift - np.abs(roll)), 0.0)
+    rolling, pitching, above = np.abs(roll), np.abs(pitch), 1.0 - lift
+    most = np.maximum(np.minimum(above - pitching, lift - rolling), 0.0)
+    least = np.maximum(np.minimum(lift - pitching, above - rolling), 0.0)
     yaw = np.clip(yaw, -least, most)
-    return np.stack([lift - pitch + yaw, lift + roll - yaw, lift + pitch + yaw, lift - roll - yaw])
+    return np.array([lift - pitch + yaw, lift + roll - yaw, lift + pitch + yaw, lift - roll - yaw])
 
 
 def step(
@@ -155,11 +156,11 @@ def step(
     integrator : of fourth order; "midpoint" is of second order and takes half the time
     """
     target = whole.thrust / 4.0 * commands
-    lag = whole.motor_lag
-    keep = np.exp(-dt / lag)
-    mean = target + (1.0 - keep) * lag / dt * (motors - target)
-    front, left, rear, right = mean
-    wrench = np.stack(
+    held, decay = _motor_lag(whole, dt)
+    transient = motors - target
+    front, left, rear, right = target + held * transient
+    motors = target + decay * transient
+    wrench = np.array(
         [front + left + rear + right, left - right, rear - front, YAW_MOMENT * (front - left + rear - right)]
     )
     first = derivatives(rigid, wrench, whole, wind)
@@ -169,12 +170,20 @@ def step(
         second = derivatives(first, wrench, whole, wind)
         second *= dt
         second += rigid
-        return second, target + keep * (motors - target)
+        return second, motors
     second = derivatives(rigid + 0.5 * dt * first, wrench, whole, wind)
     third = derivatives(rigid + 0.5 * dt * second, wrench, whole, wind)
     fourth = derivatives(rigid + dt * third, wrench, whole, wind)
     rigid = rigid + dt / 6.0 * (first + 2.0 * (second + third) + fourth)
-    return rigid, target + keep * (motors - target)
+    return rigid, motors
+
+
+@lru_cache(maxsize=8)
+def _motor_lag(whole: Body, dt: float) -> tuple[Array, Array]:
+    """Share of a motor's first transient in its mean over `dt` s, and at the end."""
+    lag = np.asarray(whole.motor_lag)
+    decay = np.exp(-dt / lag)
+    return (1.0 - decay) * lag / dt, decay
 
 
 def derivatives(rigid: Array, wrench: Array, whole: Body, wind: Array) -> Array:

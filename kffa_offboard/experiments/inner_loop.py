@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from kffa_offboard.control import Array, controllers
-from kffa_offboard.control.rotation import body_rates_to_euler_rates, euler_rates_to_body_rates
+from kffa_offboard.control.rotation import tilt, to_body_rates, to_euler_rates
 
 _ALL_FRESH = np.ones((4, 1), dtype=bool)  # all flights of a batch are sampled together
 
@@ -42,7 +42,8 @@ def step(
     dt: float,
 ) -> tuple[controllers.ControllerState, controllers.ControllerOutput, Setpoint]:
     """One step with output "rates", `dt` s after the last one; `reference` is ``(4, N)`` in channel order."""
-    euler_rates = body_rates_to_euler_rates(told.attitude, told.body_rates)
+    tilted = tilt(told.attitude)
+    euler_rates = to_euler_rates(tilted, told.body_rates)
     state, output = controllers.step(
         parameters,
         state,
@@ -54,6 +55,6 @@ def step(
         ),
         dt,
     )
-    tilt = np.maximum(np.cos(told.attitude[0]) * np.cos(told.attitude[1]), np.cos(tilt_compensation_max_rad))
-    rates = euler_rates_to_body_rates(told.attitude, output.command[:3])
-    return state, output, Setpoint(rates, output.command[3] / tilt)
+    level = np.maximum(tilted.cos_roll * tilted.cos_pitch, np.cos(tilt_compensation_max_rad))
+    rates = to_body_rates(tilted, output.command[:3])
+    return state, output, Setpoint(rates, output.command[3] / level)
