@@ -166,7 +166,11 @@ class Batch:
             self._dt,
         )
         self._sent = np.concatenate([setpoint.body_rates, setpoint.thrust[None]])
-        self._see(time, output, np.concatenate([attitude[:3], height[:1]]), watch)
+        if watch is not None:
+            measured = np.concatenate([attitude[:3], height[:1]])
+            load = np.where(self._carried, self.conditions.load_kg, 0.0)
+            watch(Moment(time, self._rigid, load, self._reference, measured, output))
+        self._see(time, output)
         for _ in range(self._substeps):
             self._move(wind)
 
@@ -182,18 +186,9 @@ class Batch:
         )
         self._uplink.push(self._measurable())
 
-    def _see(
-        self,
-        time: float,
-        output: controllers.ControllerOutput,
-        measured: Array,
-        watch: Callable[[Moment], None] | None,
-    ) -> None:
+    def _see(self, time: float, output: controllers.ControllerOutput) -> None:
         rigid = self._rigid
         cosine = np.cos(rigid[6]) * np.cos(rigid[7])
-        if watch is not None:
-            load = np.where(self._carried, self.conditions.load_kg, 0.0)
-            watch(Moment(time, rigid, load, self._reference, measured, output))
         failing = self.observation.see(time, rigid[2], rigid[2] - self._target, cosine, output.saturated[3])
         if failing is not None or self.observation.lost.any():
             # Whatever it would still do is nobody's business, as long as it stays finite.

@@ -112,9 +112,12 @@ def shares(ages: tuple[float, ...], delay: Array, span: Array) -> Array:
 
 
 @remember
-def known_shares(ages: tuple[float, ...], delay: Array, span: Array) -> tuple[Array]:
-    """`shares`, remembered."""
-    return (shares(ages, delay, span),)
+def acting(ages: tuple[float, ...], delay: Array, span: Array) -> tuple[slice, Array]:
+    """Those of the commands that act in a `Window`, and the `shares` of these."""
+    parts = shares(ages, delay, span)
+    (numbers,) = np.nonzero(parts.reshape(len(parts), -1).any(axis=1))
+    piece = slice(numbers[0], numbers[-1] + 1)
+    return piece, parts[piece]
 
 
 @remember

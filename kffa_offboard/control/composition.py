@@ -106,8 +106,8 @@ def averages(found: Coefficients, ages: tuple[float, ...], commands: Array) -> l
     `ages` are those at the end of the step.
     """
     windows = [found.window] if found.ahead is None else [found.window, found.ahead.window]
-    shares = [actuator.known_shares(ages, seen.delay, seen.span)[0] for seen in windows]
-    return [actuator.average(parts, commands) for parts in shares]
+    acting = [actuator.acting(ages, seen.delay, seen.span) for seen in windows]
+    return [actuator.average(shares, commands[piece]) for piece, shares in acting]
 
 
 def with_times(
