@@ -131,8 +131,10 @@ def _acting(
 
 def average(shares: Array, commands: Array) -> Array:
     """Mean of the delayed, piecewise constant command ``(4[, N])``, from the shares of a window; exact."""
-    mean: Array = np.add.reduce(shares * commands)
-    return mean
+    if commands.ndim == 2:
+        mean: Array = np.add.reduce(shares * commands)
+        return mean
+    return np.einsum("k...,k...->...", shares, commands)  # without the products of many flights in memory
 
 
 def lagging(average: Array, held: Array, decay: Array, lagged: Array) -> tuple[Array, Array]:
