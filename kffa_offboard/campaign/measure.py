@@ -50,7 +50,13 @@ class Outcomes:
 
 
 class Observation:
-    """The running sums of N flights."""
+    """The running sums of N flights.
+
+    Attributes
+    ----------
+    lost : (N,)
+        Flights that have left what can be flown.
+    """
 
     def __init__(self, failed: FailedTable, pickup_s: float, drop_s: Array, dt: float) -> None:
         count = len(drop_s)
@@ -67,23 +73,14 @@ class Observation:
         self._cosine = np.ones(count)
         self._failure = np.zeros(count, dtype=np.int64)
         self._failed_at = np.full(count, np.nan)
+        self.lost: BoolArray = np.zeros(count, dtype=bool)
         self._done_at = float(self._end.max())
 
-    @property
-    def lost(self) -> BoolArray:
-        """Flights that have left what can be flown, ``(N,)``."""
-        return np.asarray(self._failed_at == self._failed_at)
-
-    def see(
-        self, time: float, height: Array, error: Array, cosine: Array, saturated: BoolArray
-    ) -> BoolArray | None:
-        """Take note of the true states at `time`: height above the ground and off its set point, cos(tilt).
-
-        Returns the flights that fail now, ``(N,)``, or None if none does.
-        """
+    def see(self, time: float, height: Array, error: Array, cosine: Array, saturated: BoolArray) -> None:
+        """Take note of the states at `time`: height above the ground and off its set point, cos(tilt)."""
         size = np.abs(error)
         over = time >= self._end[1]
-        failing = self._fail(time, height, size, cosine, over)
+        self._fail(time, height, size, cosine, over)
         counted = ~(self.lost | over)
         size = np.where(counted, size, 0.0)
         within = (time >= self._begin) & (time < self._end)
@@ -97,11 +94,8 @@ class Observation:
         if self._hover_from - _EPSILON <= time < self._pickup_s - _EPSILON:
             self._hover += size * size
             self._hover_steps += 1
-        return failing
 
-    def _fail(
-        self, time: float, height: Array, size: Array, cosine: Array, over: BoolArray
-    ) -> BoolArray | None:
+    def _fail(self, time: float, height: Array, size: Array, cosine: Array, over: BoolArray) -> None:
         reasons = (
             (ALTITUDE, size > self._limits.altitude_error_max_m),
             (TILT, cosine < self._level),
@@ -109,11 +103,11 @@ class Observation:
         )
         failing: BoolArray = (reasons[0][1] | reasons[1][1] | reasons[2][1]) & ~over & ~self.lost
         if not failing.any():
-            return None
+            return
         for reason, found in reasons:
             self._failure[failing & found] = reason
         self._failed_at[failing] = time
-        return failing
+        self.lost = self.lost | failing
 
     def outcomes(self) -> Outcomes:
         """The figures, when all flights are over."""

@@ -131,10 +131,12 @@ def _acting(
 
 def average(shares: Array, commands: Array) -> Array:
     """Mean of the delayed, piecewise constant command ``(4[, N])``, from the shares of a window; exact."""
+    mean: Array
     if commands.ndim == 2:
-        mean: Array = np.add.reduce(shares * commands)
-        return mean
-    return np.einsum("k...,k...->...", shares, commands)  # without the products of many flights in memory
+        mean = np.add.reduce(shares * commands)
+    else:  # the products of many flights are not kept
+        mean = np.einsum("k...,k...->...", shares, commands)
+    return mean
 
 
 def lagging(average: Array, held: Array, decay: Array, lagged: Array) -> tuple[Array, Array]:

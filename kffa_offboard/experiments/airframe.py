@@ -191,7 +191,7 @@ def derivatives(rigid: Array, wrench: Array, whole: Body, wind: Array) -> Array:
 
     The state holds the motion of the airframe's centre, `whole.center` away from the common centre of mass.
     """
-    sines, cosines = _sines_and_cosines(rigid[6:9])
+    sines, cosines = sines_and_cosines(rigid[6:9])
     body_rates = p, q, r = tuple(rigid[9:12])
     fx, fy, fz = _to_body(whole.drag * (wind - rigid[3:6]), sines, cosines)
     force = fx, fy, fz + wrench[0]
@@ -239,8 +239,8 @@ def _angular_acceleration(
     return ax, ay, az
 
 
-def _sines_and_cosines(angles: Array) -> tuple[Array, Array]:
-    """Both from the tangent of half the angle, which takes half the time."""
+def sines_and_cosines(angles: Array) -> tuple[Array, Array]:
+    """Of angles [rad], any shape; both from the tangent of half the angle, which takes half the time."""
     half = np.tan(0.5 * angles)
     square = half * half
     over = 1.0 / (1.0 + square)

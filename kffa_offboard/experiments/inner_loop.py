@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from kffa_offboard.control import Array, controllers
-from kffa_offboard.control.rotation import tilt, to_body_rates, to_euler_rates
+from kffa_offboard.control.rotation import Tilt, to_body_rates, to_euler_rates
+from kffa_offboard.experiments.airframe import sines_and_cosines
 
 _ALL_FRESH = np.ones((4, 1), dtype=bool)  # all flights of a batch are sampled together
 
@@ -42,7 +43,8 @@ def step(
     dt: float,
 ) -> tuple[controllers.ControllerState, controllers.ControllerOutput, Setpoint]:
     """One step with output "rates", `dt` s after the last one; `reference` is ``(4, N)`` in channel order."""
-    tilted = tilt(told.attitude)
+    (sin_roll, sin_pitch), (cos_roll, cos_pitch) = sines_and_cosines(told.attitude[:2])
+    tilted = Tilt(sin_roll, cos_roll, sin_pitch, cos_pitch)
     euler_rates = to_euler_rates(tilted, told.body_rates)
     state, output = controllers.step(
         parameters,
@@ -55,6 +57,6 @@ def step(
         ),
         dt,
     )
-    level = np.maximum(tilted.cos_roll * tilted.cos_pitch, np.cos(tilt_compensation_max_rad))
+    level = np.maximum(cos_roll * cos_pitch, np.cos(tilt_compensation_max_rad))
     rates = to_body_rates(tilted, output.command[:3])
     return state, output, Setpoint(rates, output.command[3] / level)
