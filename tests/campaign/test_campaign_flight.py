@@ -47,18 +47,20 @@ def test_conditions_stay_within_their_ranges_and_fill_them(campaign: Campaign) -
 
 
 def test_noise_and_gusts_have_the_chosen_spread_and_are_the_flights_own(campaign: Campaign) -> None:
-    numbers = np.arange(50)
-    still = Conditions(**{name: np.zeros(50) for name in vars(draw(campaign.file, numbers))})
-    told = replace(still, noise_factor=np.full(50, 2.0), gust_std_m_s=np.full(50, 1.5))
+    numbers = np.arange(100)
+    still = Conditions(**{name: np.zeros(100) for name in vars(draw(campaign.file, numbers))})
+    told = replace(still, noise_factor=np.full(100, 2.0), gust_std_m_s=np.full(100, 1.5))
     surroundings = Surroundings(campaign.file, told, numbers, 0.01)
     noise, wind = zip(*(tuple(map(np.copy, surroundings.step())) for _ in range(2000)), strict=True)
     assert np.std(noise, axis=(0, 2)) == pytest.approx(
         2.0 * np.repeat([0.002, 0.01, 0.01, 0.02], [3, 3, 1, 1]), rel=0.03
     )
     assert np.std(np.array(wind)[600:]) == pytest.approx(1.5, rel=0.1)
-    one = Conditions(**{name: values[7:8] for name, values in vars(told).items()})
-    alone = Surroundings(campaign.file, one, numbers[7:8], 0.01)
-    np.testing.assert_array_equal(alone.step()[0][:, 0], noise[0][:, 7])
+    for n in (7, 99):
+        one = Conditions(**{name: values[n : n + 1] for name, values in vars(told).items()})
+        alone = Surroundings(campaign.file, one, numbers[n : n + 1], 0.01)
+        for k in range(100):
+            np.testing.assert_array_equal(alone.step()[0][:, 0], noise[k][:, n])
 
 
 def test_the_running_sums_are_those_of_the_trace(campaign: Campaign) -> None:
