@@ -64,7 +64,8 @@ def fly(setup: Setup, trial: Trial, progress: Progress) -> Flown:
 
 def _fly_native(setup: Setup, trial: Trial, running: Simulation, progress: Progress) -> Flown:
     """The autopilot's own modes, with `Pilot` as the ground station."""
-    pilot = Pilot(setup.autopilot, running.target_system, HEIGHT_M, END_S)
+    from_ground = trial.conditions.range_finder
+    pilot = Pilot(setup.autopilot, running.target_system, HEIGHT_M, END_S, from_ground)
     component, parser = Component(pilot.route), FrameParser(keeps_frames_whole=True)
     clock = real_time_clock()
     link = open_link(running.url, clock)

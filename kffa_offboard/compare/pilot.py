@@ -3,6 +3,9 @@
 PX4: NAV_TAKEOFF (its AUTO.TAKEOFF), then AUTO.LOITER, which people know as Hold. ArduCopter: GUIDED and
 NAV_TAKEOFF in it. Whatever is not there yet is asked for again each second, because both refuse until
 their estimator has a position; what they say meanwhile is kept for the error message. Time is the vehicle's.
+
+PX4 wants a height above the sea for its Hold. Where its estimate counts from the ground (range finder as
+reference, EKF2_HGT_REF 2) it has none until a ground station tells it the origin's: SET_GPS_GLOBAL_ORIGIN.
 """
 
 from __future__ import annotations
@@ -31,6 +34,9 @@ READY_LIMIT_S = 120.0
 CLIMB_LIMIT_S = 30.0
 LANDING_LIMIT_S = 60.0
 AIRBORNE_M = 0.1
+GLOBAL_HEIGHT_M = 20.0
+"""A height that is further from the satellite fix's is not above the sea; fixes are off by less."""
+
 ARRIVED_M = 0.3
 """The hold mode is asked for this near to the height that was asked for."""
 
@@ -60,6 +66,10 @@ class Version:
 class Pilot:
     """Flies `autopilot` to `height_m`, and lands `end_s` after lift-off.
 
+    Parameters
+    ----------
+    counts_from_ground : its estimate needs to be told how high above the sea it begins
+
     Attributes
     ----------
     phase : where it is
@@ -67,10 +77,18 @@ class Pilot:
     texts : what the vehicle said (STATUSTEXT), in order
     """
 
-    def __init__(self, autopilot: AutopilotName, target_system: int, height_m: float, end_s: float) -> None:
+    def __init__(
+        self,
+        autopilot: AutopilotName,
+        target_system: int,
+        height_m: float,
+        end_s: float,
+        counts_from_ground: bool = False,
+    ) -> None:
         self._autopilot = autopilot
         self.route = Route(target_system=target_system)
         self._height_m, self._end_s = height_m, end_s
+        self._counts_from_ground = counts_from_ground
         self.phase = Phase.WAITING
         self.version: Version | None = None
         self.texts: list[str] = []
@@ -82,6 +100,7 @@ class Pilot:
         self._armed = False
         self._above_m = 0.0
         self._sea_level_m = math.nan
+        self._fix: Message | None = None
         self._ground_m: float | None = None
         self._lifted_s: float | None = None
         self._refusal = ""
@@ -103,6 +122,8 @@ class Pilot:
                 self._see_position(message)
             case "GLOBAL_POSITION_INT" if not self._armed:
                 self._sea_level_m = message.alt / 1000.0
+            case "GPS_RAW_INT" if message.fix_type >= mavlink.GPS_FIX_TYPE_3D_FIX:
+                self._fix = message
             case "STATUSTEXT":
                 self.texts.append(str(message.text))
             case "COMMAND_ACK" if message.result not in (
@@ -129,6 +150,8 @@ class Pilot:
             mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: TELEMETRY_HZ,
             mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: TELEMETRY_HZ,
         }
+        if self._counts_from_ground:
+            rates[mavlink.MAVLINK_MSG_ID_GPS_RAW_INT] = 1.0
         asked = [
             commands.message_interval(self.route, kind, round(1e6 / rate)) for kind, rate in rates.items()
         ]
@@ -189,8 +212,21 @@ class Pilot:
         self._within(READY_LIMIT_S)
         if self._ground_m is None or math.isnan(self._sea_level_m) or not self._due():
             return []
+        if self._counts_from_ground and not self._knows_the_sea():
+            return self._tell_origin()
         mode = self._ask_mode(self._take_off_mode)
         return mode if mode else [*mode, commands.set_armed(self.route, SetArmed(True))]
+
+    def _knows_the_sea(self) -> bool:
+        return self._fix is not None and abs(self._sea_level_m - self._fix.alt * 1e-3) < GLOBAL_HEIGHT_M
+
+    def _tell_origin(self) -> list[Message]:
+        """The estimate's zero is where the fix is, and below it by what the vehicle counts from there."""
+        if self._fix is None:
+            return []
+        assert self._ground_m is not None
+        altitude = self._fix.alt - round(1e3 * self._ground_m)
+        return [commands.set_origin(self.route, self._fix.lat, self._fix.lon, altitude)]
 
     def _climb(self) -> list[Message]:
         if self._lifted_s is not None and self._above_m > self._height_m - ARRIVED_M:

@@ -191,16 +191,15 @@ def _harder(autopilot: AutopilotName, conditions: Conditions) -> list[Trial]:
         for key in ("2kg", "6.73kg", "offset")
         for changed in [harder[key][1]]
     ]
-    return rows + (_with_range_finder(output, conditions) if autopilot == "px4" else [])
+    return rows + (_with_range_finder(mode, output, conditions) if autopilot == "px4" else [])
 
 
-def _with_range_finder(output: str, conditions: Conditions) -> list[Trial]:
-    """The main rows again on a vehicle that measures its height above the ground.
-
-    Not Hold: it wants a global height, which PX4's estimate does not have with this reference.
-    """
+def _with_range_finder(mode: str, output: str, conditions: Conditions) -> list[Trial]:
+    """The main rows again on a vehicle that measures its height above the ground."""
     better = replace(conditions, range_finder=True)
     rows = [
+        Trial("native-stock-range", f"{mode}, stock gains, range finder", "native"),
+        Trial("native-tuned-range", f"{mode}, tuned gains, range finder", "native", tuned=True),
         Trial("kffa-ladrc-range", "KFFA-LADRC, range finder", "kffa-ladrc", output),
         Trial(
             "release-range", "KFFA-LADRC, own release, range finder", "kffa-ladrc", output, course="release"

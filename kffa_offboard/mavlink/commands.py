@@ -128,6 +128,11 @@ def set_gripper(route: Route, order: SetGripper) -> Message:
     return command_long(route, mavlink.MAV_CMD_DO_GRIPPER, 1.0, _GRIPPER_ACTIONS[order.action])
 
 
+def set_origin(route: Route, latitude: int, longitude: int, altitude: int) -> Message:
+    """Where the vehicle's own coordinates begin: 1e-7 deg, mm above the sea."""
+    return mavlink.MAVLink_set_gps_global_origin_message(route.target_system, latitude, longitude, altitude)
+
+
 def heartbeat(order: OwnHeartbeat) -> Message:
     """Our own HEARTBEAT: an onboard controller, no autopilot."""
     return mavlink.MAVLink_heartbeat_message(

@@ -8,6 +8,7 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.compare.pilot import Phase, Pilot
+from kffa_offboard.compare.plan import AutopilotName
 from kffa_offboard.mavlink.component import Component, FrameParser, Message, Route
 from kffa_offboard.mavlink.transport import Datagram
 from kffa_offboard.trials.metrics import FlightFailed
@@ -19,12 +20,14 @@ LOITER, GUIDED = 3 << 24 | 4 << 16, 4
 class Vehicle:
     """A vehicle that does what it is told, unless `refuses`."""
 
-    def __init__(self, autopilot: str, refuses: str = "") -> None:
-        self.pilot = Pilot("px4" if autopilot == "px4" else "ardupilot", 3, 5.0, 10.0)
+    def __init__(self, autopilot: str, refuses: str = "", counts_from_ground: bool = False) -> None:
+        name: AutopilotName = "px4" if autopilot == "px4" else "ardupilot"
+        self.pilot = Pilot(name, 3, 5.0, 10.0, counts_from_ground)
         self.hold = LOITER if autopilot == "px4" else GUIDED
         self.refuses = refuses
         self.time_s, self.mode, self.armed, self.height = 0.0, 0, False, 0.0
         self.asked: list[Message] = []
+        self.origin_mm = 488_000
 
     def say(self, message: Message) -> None:
         frame = Datagram(0, VEHICLE.pack(message), None)
@@ -33,6 +36,8 @@ class Vehicle:
                 self.take(answer)
 
     def take(self, message: Message) -> None:
+        if message.get_type() == "SET_GPS_GLOBAL_ORIGIN":
+            self.origin_mm = message.altitude
         if message.get_type() != "COMMAND_LONG":
             return
         self.asked.append(message)
@@ -56,7 +61,9 @@ class Vehicle:
         now = round(self.time_s * 1000)
         base = 128 if self.armed else 0
         self.say(mavlink.MAVLink_heartbeat_message(2, 12, base, self.mode, 3, 3))
-        altitude = round((488.0 + self.height) * 1000)
+        altitude = self.origin_mm + round(self.height * 1000)
+        fix = mavlink.MAVLink_gps_raw_int_message(0, 3, 473977420, 85455940, 488_000, 0, 0, 0, 0, 9)
+        self.say(fix)
         self.say(mavlink.MAVLink_global_position_int_message(now, 0, 0, altitude, 0, 0, 0, 0, 0))
         self.say(mavlink.MAVLink_local_position_ned_message(now, 0.0, 0.0, -self.height, 0.0, 0.0, 0.0))
         self.say(mavlink.MAVLink_attitude_message(now, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
@@ -105,3 +112,20 @@ def test_arming_that_is_refused_for_too_long_ends_with_the_vehicles_reason() -> 
     with pytest.raises(FlightFailed, match="could not be armed within 120 s: PreArm: Gyros inconsistent"):
         for _ in range(200):
             vehicle.second()
+
+
+def test_an_estimate_that_counts_from_the_ground_is_told_its_height_above_the_sea_before_arming() -> None:
+    vehicle = Vehicle("px4", counts_from_ground=True)
+    vehicle.origin_mm, vehicle.height = 0, 0.2
+    for _ in range(4):
+        vehicle.second()
+    assert vehicle.origin_mm == 487_800
+    assert mavlink.MAV_CMD_COMPONENT_ARM_DISARM in vehicle.commands()
+
+
+def test_an_estimate_that_is_not_told_to_count_from_the_ground_keeps_its_origin() -> None:
+    vehicle = Vehicle("px4")
+    vehicle.origin_mm = 400_000
+    for _ in range(4):
+        vehicle.second()
+    assert vehicle.origin_mm == 400_000

@@ -91,7 +91,7 @@ def test_each_seed_takes_another_stretch_of_the_firmwares_own_noise(autopilot: A
 
 def test_range_finder_rows_have_the_sensor_and_parameters_that_use_it(tmp_path: Path) -> None:
     rows = {trial.name: trial for trial in trials(plan())}
-    for name in ("kffa-ladrc-range", "release-range"):
+    for name in ("native-stock-range", "native-tuned-range", "kffa-ladrc-range", "release-range"):
         assert parameter_files("px4", rows[name])[-1] == "compare-px4-range.params"
         assert rows[name].conditions.range_finder
     assert parameter_files("px4", rows["native-stock"]) == ["px4-hil/px4-rc.params"]
