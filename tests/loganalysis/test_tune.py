@@ -197,24 +197,51 @@ def swings(found: Candidate, vehicle: LinearSystem) -> tuple[float, float]:
     return max(flown[200:300]), max(flown[500:])
 
 
-@pytest.mark.parametrize(
-    ("delay_s", "wanted", "peak_m"),
-    [(0.02, Wanted(3.7, 32.0, 0.029), 0.027), (0.028, Wanted(4.0, 24.0, 0.021), 0.03)],
-)
-def test_the_altitude_loop_for_a_real_arducopter_keeps_its_margins_and_moves_by_less_than_3_cm(
-    delay_s: float, wanted: Wanted, peak_m: float
-) -> None:
-    """Motors of 50 ms; a delay between the one that was identified and the one that flights show."""
-    given = tomllib.loads(bundled("compare-ardupilot.toml").read_text(encoding="utf-8"))["control"]
-    control, _ = control_of(given, "compare-ardupilot.toml")
+def altitude_loop(
+    file: str, period_s: float, link_s: float, delay_s: float
+) -> tuple[LinearSystem, LinearSystem]:
+    """Controller of a bundled configuration, told of a link slower by `link_s`, and motors of 50 ms."""
+    given = tomllib.loads(bundled(file).read_text(encoding="utf-8"))["control"]
+    for key in ("delay_s", "prediction_s"):
+        given["altitude"][key] += link_s
+    control, _ = control_of(given, file)
     settings = control.settings(LimitSettings())
-    base = LinearController.of(parameters_of(control), PERIOD_S)
-    loop = base.with_bandwidths(settings.omega_c, settings.omega_o).system(3)
-    vehicle = plant(PlantNumbers(25.8, 0.0, 0.0, delay_s, 0.05), PERIOD_S)
+    base = LinearController.of(parameters_of(control), period_s)
+    vehicle = PlantNumbers(9.80665 / control.altitude.hover_thrust, 0.0, 0.0, delay_s + link_s, 0.05)
+    return base.with_bandwidths(settings.omega_c, settings.omega_o).system(3), plant(vehicle, period_s)
+
+
+@pytest.mark.parametrize(
+    ("file", "delay_s", "wanted", "peak_m"),
+    [
+        ("compare-ardupilot.toml", 0.02, Wanted(3.7, 32.0, 0.029), 0.027),
+        ("compare-ardupilot.toml", 0.028, Wanted(4.0, 24.0, 0.021), 0.03),
+        ("compare-px4.toml", 0.02, Wanted(4.8, 29.0, 0.025), 0.025),
+        ("compare-px4.toml", 0.03, Wanted(3.9, 17.0, 0.015), 0.03),
+    ],
+)
+def test_the_altitude_loop_for_a_real_autopilot_keeps_its_margins_and_moves_by_less_than_3_cm(
+    file: str, delay_s: float, wanted: Wanted, peak_m: float
+) -> None:
+    """A delay between the one that was identified and the one that flights show, or 10 ms more."""
+    loop, vehicle = altitude_loop(file, PERIOD_S, 0.0, delay_s)
     omega = frequencies(PERIOD_S)
     assert margins(omega, frequency_response(open_loop(loop, vehicle), omega)).meet(wanted)
     moved = DROP_M_S2 * np.abs(step_response(closed_loop(loop, vehicle), 2.0))
     assert moved.max() < peak_m
+
+
+@pytest.mark.parametrize(
+    ("period_s", "link_s", "wanted"),
+    [(0.01, 0.05, Wanted(2.0, 16.0, 0.021)), (0.02, 0.0, Wanted(3.5, 28.0, 0.024))],
+    ids=["60 ms link delay", "50 Hz telemetry"],
+)
+def test_the_altitude_loop_for_a_real_px4_has_margin_over_a_slow_link_and_with_half_the_telemetry(
+    period_s: float, link_s: float, wanted: Wanted
+) -> None:
+    loop, vehicle = altitude_loop("compare-px4.toml", period_s, link_s, 0.02)
+    omega = frequencies(period_s)
+    assert margins(omega, frequency_response(open_loop(loop, vehicle), omega)).meet(wanted)
 
 
 def test_tune_writes_tables_that_load_and_a_picture(
