@@ -58,8 +58,8 @@ RANGE_FINDER_M = float(np.hypot(0.02, 0.01 / np.sqrt(12.0)))
 EKF2 = Noises(acceleration=0.35, fix_velocity=1.5 * 0.3, fix_height=1.5 * 0.5, bias_growth=0.003 * STEP_S)
 """Defaults of EKF2_ACC_NOISE, EKF2_GPS_V_NOISE, EKF2_GPS_P_NOISE (vertical: 1.5 times), EKF2_ACC_B_NOISE."""
 
-EKF2_DISTANCE = float(np.hypot(0.1, 0.05 * 5.0))
-"""EKF2_RNG_NOISE and EKF2_RNG_SFE at 5 m."""
+EKF2_DISTANCE = float(np.hypot(0.1, 0.01 * 5.0))
+"""EKF2_RNG_NOISE and EKF2_RNG_SFE (configs/compare-px4-range.params) at 5 m."""
 
 
 def estimates(true: Noises, assumed: Noises, flights: int, seed: int = 0) -> tuple[Array, Array]:
