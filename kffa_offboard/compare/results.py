@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 from kffa_offboard.compare.estimate import EstimateFigures
@@ -63,13 +63,11 @@ STEP_LIMITS = {True: (0.8, 5.0), False: (1.2, 10.0)}
 def verdicts(plan: ComparePlan, results: Sequence[Result]) -> list[Verdict]:
     """The project's targets that these results can be held against."""
     by_name = {result.trial.name: result for result in results}
-    found: list[Verdict] = []
-    ours, stock = _load(by_name, "kffa-ladrc"), _load(by_name, "native-stock")
-    if ours is not None:
-        found += _height_verdicts(plan.autopilot, ours, stock)
-    release = _load(by_name, "release")
-    if release is not None:
-        found.append(_at_most("release by the daemon: peak", release.drop.peak_m, RELEASE_PEAK_M, "m"))
+    found = _with_same_sensors(plan.autopilot, by_name, "")
+    found += [
+        replace(verdict, target=f"range finder: {verdict.target}")
+        for verdict in _with_same_sensors(plan.autopilot, by_name, "-range")
+    ]
     offset = _load(by_name, "kffa-ladrc-offset")
     if offset is not None:
         found.append(
@@ -79,6 +77,18 @@ def verdicts(plan: ComparePlan, results: Sequence[Result]) -> list[Verdict]:
         result = by_name.get(f"attitude-{output}")
         if result is not None and result.steps:
             found += _step_verdicts(output, output == DEFAULT_OUTPUT[plan.autopilot], result.steps)
+    return found
+
+
+def _with_same_sensors(autopilot: AutopilotName, by_name: dict[str, Result], ending: str) -> list[Verdict]:
+    """Height beside the autopilot's own mode with the same sensors, and the daemon's own release."""
+    found: list[Verdict] = []
+    ours, stock = (_load(by_name, name + ending) for name in ("kffa-ladrc", "native-stock"))
+    if ours is not None:
+        found += _height_verdicts(autopilot, ours, stock)
+    release = _load(by_name, f"release{ending}")
+    if release is not None:
+        found.append(_at_most("release by the daemon: peak", release.drop.peak_m, RELEASE_PEAK_M, "m"))
     return found
 
 
