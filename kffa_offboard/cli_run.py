@@ -84,7 +84,10 @@ def run_one(config: DaemonConfig, options: RunOptions) -> int:
 def _drive(vehicle: VehicleRun, options: RunOptions, shared: Shared, stop: threading.Event) -> RunResult:
     timeout_s = vehicle.config.link.connect_timeout_s
     if options.lockstep:
-        return run_lock_step(vehicle.session, shared.clock, stop, connect_timeout_s=timeout_s)
+        barrier_s = vehicle.config.link.barrier_timeout_s
+        return run_lock_step(
+            vehicle.session, shared.clock, stop, connect_timeout_s=timeout_s, barrier_timeout_s=barrier_s
+        )
     return run_real_time(
         vehicle.session, shared.clock, stop, connect_timeout_s=timeout_s, watch=vehicle.watch
     )

@@ -82,6 +82,7 @@ class LinkSettings:
     target_system: int
     target_component: int
     connect_timeout_s: float
+    barrier_timeout_s: float
     signing: SigningSettings | None
 
 
@@ -295,6 +296,7 @@ def _link(tables: ConfigFile, directory: Path) -> LinkSettings:
         link.target_system,
         link.target_component,
         tables.telemetry.connect_timeout_s,
+        tables.telemetry.barrier_timeout_s,
         _signing(tables, directory),
     )
 

@@ -46,9 +46,13 @@ AngularRate = Annotated[float, number("deg/s", at_least=10.0, at_most=2000.0)]
 
 
 class TelemetryTable(Table):
-    """`[telemetry]`: `offboard.settings.TelemetrySettings`, and how long to wait for a vehicle."""
+    """`[telemetry]`: `offboard.settings.TelemetrySettings`, and how long to wait for a vehicle.
+
+    `barrier_timeout_s` is in lock-step: wall time that the vehicle may take to its next barrier.
+    """
 
     connect_timeout_s: LongTimeout = 10.0
+    barrier_timeout_s: LongTimeout = 5.0
     attitude_hz: Rate = _TELEMETRY.attitude_hz
     position_hz: Rate = _TELEMETRY.position_hz
     target_hz: Rate = _TELEMETRY.target_hz

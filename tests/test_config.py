@@ -93,7 +93,7 @@ def test_a_key_that_is_left_out_has_the_default_of_the_settings(file: Path) -> N
 @pytest.mark.parametrize(
     ("record", "table", "beside"),
     [
-        (TelemetrySettings, TelemetryTable, {"connect_timeout_s"}),
+        (TelemetrySettings, TelemetryTable, {"connect_timeout_s", "barrier_timeout_s"}),
         (SequenceSettings, SequenceTable, set()),
         (FlightSettings, FlightTable, set()),
         (LimitSettings, LimitsTable, {f"{axis}_rate_max_deg_s" for axis in ("roll", "pitch", "yaw")}),

@@ -16,7 +16,7 @@ from kffa_offboard.compare.course import course
 from kffa_offboard.compare.limits import Watch
 from kffa_offboard.compare.pilot import Phase, Pilot, Version
 from kffa_offboard.compare.plan import END_S, HEIGHT_M, NORMAL_DELAY_S, Trial
-from kffa_offboard.compare.simulation import Setup, Simulation, simulation
+from kffa_offboard.compare.simulation import PATIENCE_S, Setup, Simulation, simulation
 from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.config import bundled, read_toml
 from kffa_offboard.mavlink.component import Component, FrameParser
@@ -158,9 +158,10 @@ def daemon_document(setup: Setup, trial: Trial, running: Simulation) -> dict[str
     changes: dict[str, Any] = {
         "link": {"url": running.url, "target_system": running.target_system},
         "scenario": {"segment": course(trial)},
+        "telemetry": {"barrier_timeout_s": PATIENCE_S},
     }
     if rate != base.get("telemetry", {}).get("attitude_hz"):
-        changes["telemetry"] = {"attitude_hz": rate, "position_hz": rate}
+        changes["telemetry"] |= {"attitude_hz": rate, "position_hz": rate}
     if delay != NORMAL_DELAY_S:
         changes["control"] = _with_delay(base["control"], delay - NORMAL_DELAY_S)
     return merged(base, changes)

@@ -26,7 +26,7 @@ SIMULATED_LIMIT_S = 1000.0
 """The physics ends by itself after so much simulated time, should it ever be left alone."""
 
 PATIENCE_S = 60.0
-"""Wall time that the imitation waits for its pilot, on a machine that is busy with other things."""
+"""Wall time that the imitation waits for its pilot, and the daemon for a barrier, on a busy machine."""
 
 FIRMWARE_PATIENCE_S = 2.0
 """How long a firmware may take to end when asked: it has nothing to lose."""

@@ -33,9 +33,6 @@ LONGEST_SLEEP_S = 0.1
 RELEASE_LIMIT_S = 3.0
 """How long the service may take to let go after a stop request."""
 
-BARRIER_LIMIT_S = 5.0
-"""How long a lock-step vehicle may take to its next barrier, in wall time."""
-
 HELLO_PERIOD_S = 1.0
 
 
@@ -210,21 +207,27 @@ def pass_barrier(session: Session, time_us: int, request: Message) -> None:
 
 
 def run_lock_step(
-    session: Session, clock: Clock, stop: threading.Event, *, connect_timeout_s: float = 10.0
+    session: Session,
+    clock: Clock,
+    stop: threading.Event,
+    *,
+    connect_timeout_s: float = 10.0,
+    barrier_timeout_s: float = 5.0,
 ) -> RunResult:
     """Drive the service barrier by barrier until it has finished, or has let go after `stop` was set.
 
-    `clock` is wall time, for noticing that the vehicle has stopped; the service never sees it.
-    Raises UserError as `run_real_time` does, and if barriers stop coming or their time goes back.
+    `clock` is wall time, for noticing that the vehicle has stopped: it may take `barrier_timeout_s` to its
+    next barrier. The service never sees it. Raises UserError as `run_real_time` does, and if barriers stop
+    coming or their time goes back.
     """
     loop = _LockStep(session, stop)
     waiting_since_us = clock()
     hello_due_us = waiting_since_us
     while not loop.ended:
         now_us = clock()
-        limit_s = BARRIER_LIMIT_S if session.connected else connect_timeout_s
+        limit_s = barrier_timeout_s if session.connected else connect_timeout_s
         if now_us - waiting_since_us >= limit_s * 1e6:
-            raise stopped_clock(session) if session.connected else no_vehicle(session, connect_timeout_s)
+            raise stopped_clock(session, limit_s) if session.connected else no_vehicle(session, limit_s)
         if stop.is_set() and loop.time_us is None:
             break
         if loop.time_us is None and now_us >= hello_due_us:
@@ -309,9 +312,10 @@ def no_vehicle(session: Session, timeout_s: float) -> UserError:
     return UserError(f"no vehicle answered on {session.link.name} for {timeout_s:g} s; {hint}")
 
 
-def stopped_clock(session: Session) -> UserError:
+def stopped_clock(session: Session, timeout_s: float) -> UserError:
     """Say in one line that the lock-step vehicle no longer asks for our answer."""
     return UserError(
-        f"lock-step: no TIMESYNC request on {session.link.name} for {BARRIER_LIMIT_S:g} s; "
-        "is the simulated vehicle still running, and in lock-step?"
+        f"lock-step: no TIMESYNC request on {session.link.name} for {timeout_s:g} s; "
+        "is the simulated vehicle still running, and in lock-step? "
+        "(telemetry.barrier_timeout_s is how long it may take)"
     )
