@@ -21,8 +21,8 @@ from kffa_offboard.control import Array, BoolArray, controllers
 from kffa_offboard.control.controllers import ControllerName
 from kffa_offboard.experiments import airframe, inner_loop, plant
 
-WIDTH = 5000
-"""Flights of a batch: wide enough for numpy, and ten thousand are still work for two processes."""
+WIDTH = 2000
+"""Flights of a batch: wide enough for numpy, and ten thousand are work for five processes."""
 
 STEP_S = airframe.STEP_S
 
