@@ -26,6 +26,7 @@ from kffa_offboard.control.observer import PlantModel, transition
 LITERAL_PROCESS_VARIANCE = 0.03  # the paper's Q, per step (section III-C)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
+_ODDS = 5  # in a row are a new period: two or three also come when a sender makes up for a delay
 _DOUBLINGS = 40  # of the time until which the Riccati equation is followed
 _EXACT = 1e-14  # of the standard deviations, as `KalmanParameters.rest_tolerance`
 
@@ -84,12 +85,14 @@ class Spread(NamedTuple):
     elapsed : s since then
     period : s, usually between two corrections; 0 before the first one
     odd : s, between the last two if that was not the usual; else 0
+    odds : how often it has been like that in a row
     """
 
     covariance: Covariance
     elapsed: float = 0.0
     period: float = 0.0
     odd: float = 0.0
+    odds: int = 0
 
 
 @remember
@@ -169,7 +172,7 @@ def corrected(
 ) -> tuple[Array, Spread]:
     """A channel is measured `dt` s after `spread`: the gain ``(states, 1 or 2)``, and what is left."""
     after = spread.elapsed + dt
-    usual, period, odd = _times(parameters, spread, after)
+    usual, period, odd, odds = _times(parameters, spread, after)
     f, q = _model_matrices(parameters, model, channel, period if usual else after)
     h, r = _sensors(parameters, channel, with_rate)
     kalman = copy(
@@ -183,7 +186,7 @@ def corrected(
     forgiven = spread.covariance is rest and after <= (1.0 + parameters.late_tolerance) * period
     if forgiven or _within(covariance.matrix - rest.matrix, rest.matrix, parameters.rest_tolerance):
         covariance = rest
-    return np.asarray(kalman.K), Spread(covariance, 0.0, period, odd)
+    return np.asarray(kalman.K), Spread(covariance, 0.0, period, odd, odds)
 
 
 def _within(difference: Array, covariance: Array, tolerance: float) -> bool:
@@ -192,13 +195,14 @@ def _within(difference: Array, covariance: Array, tolerance: float) -> bool:
     return bool(np.all(np.abs(difference) <= tolerance * np.outer(deviations, deviations)))
 
 
-def _times(parameters: KalmanParameters, spread: Spread, after: float) -> tuple[bool, float, float]:
-    """Is it the usual time; period and odd time as they are then. What comes twice in a row is usual."""
+def _times(parameters: KalmanParameters, spread: Spread, after: float) -> tuple[bool, float, float, int]:
+    """Is it the usual time; period, odd time and how often in a row as they are then."""
     if _near(parameters, after, spread.period):
-        return True, spread.period, 0.0
-    if spread.period == 0.0 or _near(parameters, after, spread.odd):
-        return True, after, 0.0
-    return False, spread.period, after
+        return True, spread.period, 0.0, 0
+    odds = spread.odds + 1 if _near(parameters, after, spread.odd) else 1
+    if spread.period == 0.0 or odds >= _ODDS:
+        return True, after, 0.0, 0
+    return False, spread.period, after, odds
 
 
 def _near(parameters: KalmanParameters, time: float, usual: float) -> bool:

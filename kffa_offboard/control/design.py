@@ -25,8 +25,9 @@ REST_TOLERANCE = 0.02
 """Of the Kalman filter: a fifth of a second after a late sample gains are at rest again, with a jump of a
 fiftieth at most."""
 
-LATE_TOLERANCE = 1.0
-"""Of the Kalman filter: one lost sample, or one late by a period, is no reason to leave rest."""
+LATE_TOLERANCE = 2.0
+"""Of the Kalman filter: two lost samples are no reason to leave rest. If a twentieth of all samples is late
+by up to three periods, estimates have one to two hundredths more noise."""
 
 
 @dataclass(frozen=True)
