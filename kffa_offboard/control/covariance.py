@@ -175,9 +175,7 @@ def corrected(
     usual, period, odd, odds = _times(parameters, spread, after)
     f, q = _model_matrices(parameters, model, channel, period if usual else after)
     h, r = _sensors(parameters, channel, with_rate)
-    kalman = copy(
-        _blank_filter(parameters.states)
-    )  # filterpy rebinds its matrices and never writes into them
+    kalman = copy(_blank_filter(parameters.states))  # filterpy rebinds matrices and never writes into them
     kalman.P = spread.covariance.matrix
     kalman.predict(F=f, Q=q)
     kalman.update(0.0, R=r, H=h)

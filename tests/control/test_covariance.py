@@ -163,3 +163,17 @@ def test_one_lost_sample_leaves_rest_where_it_is_and_has_its_own_gain_all_the_sa
     np.testing.assert_allclose(late, own, rtol=1e-12)
     assert measured(forgiving, spread, [0.021]).covariance is not rest
     assert measured(forgiving, spread, [0.02] * 5).period == 0.02
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("period", [1e-6, 1e-3, 0.004, 0.05, 0.5, 3.0, 30.0])
+def test_whatever_the_period_gains_are_finite_and_the_rest_is_a_covariance(period) -> None:
+    for parameters in (TOLERANT, LITERAL):
+        for channel in (0, 1):
+            (rest,) = at_rest(parameters, MODEL, channel, True, period)
+            deviations = np.sqrt(np.diag(rest.matrix))
+            assert np.linalg.eigvalsh(rest.matrix / np.outer(deviations, deviations)).min() > -1e-9
+            spread = begin(parameters, channel)
+            for _ in range(30):
+                gain, spread = corrected(parameters, MODEL, channel, True, spread, period)
+                assert np.all(np.isfinite(gain))
