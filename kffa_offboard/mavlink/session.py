@@ -219,9 +219,8 @@ class Session:
         """Do what is due before `time_us`, then hand an event to the service and send what it answers."""
         if time_us != self._time_us or not self._due_known or self._is_due(time_us):
             self.advance(time_us)
-        self._observe(time_us, event)
         self._due_known = False
-        self._dispatch(time_us, self.service.handle(time_us, event))
+        self._dispatch(time_us, self.service.handle(time_us, event), event)
 
     def advance(self, time_us: int) -> None:
         """Do everything that is due up to `time_us`, each at its own time, and send it."""
@@ -348,10 +347,10 @@ class Session:
         """System and component of everybody who has said something."""
         return self._reception.heard
 
-    def _dispatch(self, time_us: int, outputs: Sequence[Output]) -> None:
+    def _dispatch(self, time_us: int, outputs: Sequence[Output], event: Event | None = None) -> None:
+        """Send what the service answers to `event`. A setpoint does not wait for those who look on."""
         refusal: str | None = None
         for output in outputs:
-            self._observe(time_us, output)
             if isinstance(output, Signals):
                 if self._recorder is not None:
                     self._recorder.write_signals(output)
@@ -365,6 +364,8 @@ class Session:
                     sent = self._transmit(time_us, message)
                     self.counters.commands_sent += sent and isinstance(output, AttitudeTarget)
             self._companion.note(output)
+        for item in outputs if event is None else (event, *outputs):
+            self._observe(time_us, item)
         if refusal is not None and self.refusal is None:
             # A service that asks for something unsendable must not keep control: once, it has to let go.
             self.refusal = refusal
