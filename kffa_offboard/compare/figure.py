@@ -32,25 +32,31 @@ SMALL_M = 0.15
 
 
 def draw_height(path: Path, results: Sequence[Result], title: str) -> None:
-    """Deviation of height from 1 s before to 5 s after; all trials above, the small ones again below."""
-    shown = [result for result in results if result.load is not None and result.trial.name in _COLOURS]
+    """Deviation of height from 1 s before to 5 s after; all trials above, the small ones again below.
+
+    The rows of other loads, links and sensors are drawn where there are none but these.
+    """
+    measured = [result for result in results if result.load is not None]
+    shown = [result for result in measured if result.trial.name in _COLOURS] or measured
     small = [result for result in shown if result.load is not None and result.load.pickup.peak_m < SMALL_M]
+    rows = [chosen for chosen in (shown, small) if chosen]
     with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.5, 7.6), dpi=130, layout="constrained")
+        figure = Figure(figsize=(10.5, 0.4 + 3.6 * len(rows)), dpi=130, layout="constrained")
         FigureCanvasAgg(figure)
-        axes = figure.subplots(2, 2, sharex=True, sharey="row")
+        axes = figure.subplots(len(rows), 2, sharex=True, sharey="row", squeeze=False)
         figure.suptitle(title, fontsize=12.5, fontweight="bold")
-        for row, chosen in ((0, shown), (1, small)):
+        for row, chosen in enumerate(rows):
             for column, event in ((0, "pickup"), (1, "drop")):
-                for result in chosen:
-                    _height(axes[row][column], result, event, row)
+                for number, result in enumerate(chosen):
+                    colour = _COLOURS.get(result.trial.name, f"C{number}")
+                    _height(axes[row][column], result, event, row, colour)
                 axes[row][column].axvline(0.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
                 axes[row][column].set_xlim(-_BEFORE_S, WINDOW_S)
         _name_panels(axes)
         figure.savefig(path)
 
 
-def _height(axis: Any, result: Result, event: str, row: int) -> None:
+def _height(axis: Any, result: Result, event: str, row: int, colour: str) -> None:
     truth, load = result.truth, result.load
     assert truth is not None and load is not None
     time = truth.time_s - getattr(load, f"{event}_s")
@@ -59,20 +65,18 @@ def _height(axis: Any, result: Result, event: str, row: int) -> None:
     axis.plot(
         time[near],
         scale * (truth.z[near] - load.reference_m),
-        color=_COLOURS[result.trial.name],
+        color=colour,
         label=f"{result.trial.label}, peak {100 * getattr(load, event).peak_m:.1f} cm",
         linewidth=1.6,
     )
 
 
 def _name_panels(axes: Any) -> None:
-    axes[0][0].set_title("Picked up")
-    axes[0][1].set_title("Dropped")
-    axes[1][0].set_title("Picked up, the small ones")
-    axes[1][1].set_title("Dropped, the small ones")
-    axes[0][0].set_ylabel("deviation of height [m]")
-    axes[1][0].set_ylabel("deviation of height [cm]")
-    for axis in axes[1]:
+    for row, unit, which in zip(axes, ("m", "cm"), ("", ", the small ones"), strict=False):
+        row[0].set_title(f"Picked up{which}")
+        row[1].set_title(f"Dropped{which}")
+        row[0].set_ylabel(f"deviation of height [{unit}]")
+    for axis in axes[-1]:
         axis.set_xlabel("time since then [s]")
     for row in axes:
         low, high = row[0].get_ylim()

@@ -151,27 +151,25 @@ def _imitation(setup: Setup, trial: Trial, truth: Path, stack: contextlib.ExitSt
 
 
 def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextlib.ExitStack) -> Simulation:
-    """Real firmware; the daemon meets it on a bridge, the native pilot at once."""
+    """Real firmware; daemon or native pilot meet it on a bridge."""
     directory = setup.file(trial, "-firmware")
     shutil.rmtree(directory, ignore_errors=True)
     directory.mkdir()
     name = firmware.PX4 if setup.autopilot == "px4" else firmware.ARDUCOPTER
     instance = firmware.free_instance()
     head_start = head_start_s(setup.autopilot, trial.conditions)
-    link = None
-    if not trial.native:
-        link = stack.enter_context(
-            bridge(
-                name.system_id(instance),
-                trial.conditions.delay_s / 2.0,
-                meeting_s=head_start,
-                answers=name.answers,
-            )
+    link = stack.enter_context(
+        bridge(
+            name.system_id(instance),
+            trial.conditions.delay_s / 2.0,
+            meeting_s=head_start,
+            answers=name.answers,
         )
-    link_port = free_port() if link is None else link.firmware_port
-    wanted = name.start(binary, directory, link_port, instance, trial)
-    barrier_port = 0 if link is None else link.physics_port
-    backend = firmware.physics_backend(name, wanted.physics_port, barrier_port, trial.conditions.range_finder)
+    )
+    wanted = name.start(binary, directory, link.firmware_port, instance, trial)
+    backend = firmware.physics_backend(
+        name, wanted.physics_port, link.physics_port, trial.conditions.range_finder
+    )
     document = merged(_read(bundled(name.physics)), {"backend": backend})
     physics = _physics(setup, trial, truth, document, stack)
     log = setup.file(trial, "-firmware.log")
@@ -186,9 +184,9 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
             stderr=output,
         )
     )
-    if link is not None and name.answers and Threads.can_be_seen():
+    if name.answers and Threads.can_be_seen():
         link.watch(child.pid)
-    url = f"udpin:127.0.0.1:{link_port}" if link is None else f"udpout:127.0.0.1:{link.daemon_port}"
+    url = f"udpout:127.0.0.1:{link.daemon_port}"
     running = (physics, ("the firmware", child, log))
     return Simulation(url, name.system_id(instance), truth, head_start, running, link)
 
