@@ -14,7 +14,7 @@ from pydantic import BaseModel, ConfigDict, Field, model_validator
 from kffa_offboard.config_units import number
 from kffa_offboard.control import Array
 from kffa_offboard.control.controllers import ControllerName
-from kffa_offboard.control.design import DesignSettings
+from kffa_offboard.control.design import DesignSettings, three_poles
 from kffa_offboard.control.fuzzy import RuleBase
 from kffa_offboard.offboard.settings import LimitSettings, OutputKind
 
@@ -222,6 +222,34 @@ class CascadeTable(Table):
         return np.array([outer, [0.0, 0.0, 0.0, self.climb_rate_i], [0.0, 0.0, 0.0, self.climb_rate_p]])
 
 
+_ALL_GAINS = "all three gains, or leave the table out"
+
+
+class PidAxisTable(Table):
+    """`[control.pid.CHANNEL]`: gains of one channel, per unit of acceleration: 1/s^2, 1/s^3, 1/s."""
+
+    p: Gain = Field(description=_ALL_GAINS)
+    i: Gain = Field(description=_ALL_GAINS)
+    d: Gain = Field(description=_ALL_GAINS)
+
+
+class PidTable(Table):
+    """`[control.pid]`: gains of controller = "pid"; a channel left out has three poles at omega_c / 2."""
+
+    roll: PidAxisTable | None = None
+    pitch: PidAxisTable | None = None
+    yaw: PidAxisTable | None = None
+    altitude: PidAxisTable | None = None
+
+    def gains(self, omega_c: Array) -> Array:
+        """(3, 4): kp, ki, kd of roll, pitch, yaw, altitude."""
+        gains = three_poles(omega_c)
+        for channel, given in enumerate((self.roll, self.pitch, self.yaw, self.altitude)):
+            if given is not None:
+                gains[:, channel] = given.p, given.i, given.d
+        return gains
+
+
 class ControlTable(Table):
     """`[control]`: which controller flies, what it commands, and its numbers."""
 
@@ -235,6 +263,7 @@ class ControlTable(Table):
     rates: RatesTable = RatesTable()
     attitude: AttitudeTable = AttitudeTable()
     cascade: CascadeTable = CascadeTable()
+    pid: PidTable = PidTable()
 
     def settings(self, limits: LimitSettings) -> DesignSettings:
         """The numbers in the form that `control.design.design` takes."""
@@ -257,6 +286,7 @@ class ControlTable(Table):
             measurement_variance=measurement_noise**2,
             rate_variance=rate_noise**2 if self.fuse_rates else None,
             literal_filter=self.kalman == "literal",
+            pid_gains=self.pid.gains(stacked["omega_c"]),
             cascade_gains=self.cascade.gains(),
             cascade_to_attitude=self.output == "attitude",
         )

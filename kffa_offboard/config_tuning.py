@@ -96,6 +96,11 @@ def tunable_keys(tables: ConfigFile) -> dict[str, Key]:
     groups.append(("REF", ("control",), {"reference_filter_s": "FILTER_S"}))
     if control.controller == "cascaded-pid":
         groups.append(("PID", ("control", "cascade"), _CASCADE))
+    if control.controller == "pid":
+        groups += [
+            ("PID", ("control", "pid", channel), {gain: f"{short}_{gain.upper()}" for gain in "pid"})
+            for channel, short in (("roll", "ROLL"), ("pitch", "PITCH"), ("yaw", "YAW"), ("altitude", "ALT"))
+        ]
     if tables.position.enabled:
         groups.append(("POS", ("position",), _POSITION))
     groups.append(("LIM", ("limits",), _LIMITS))

@@ -309,6 +309,9 @@ def test_what_must_be_given_is_asked_for(file: Path) -> None:
     assert complaint(file, text).startswith(
         "control.altitude.hover_thrust: missing; give the thrust, 0 to 1, "
     )
+    assert complaint(file, MINIMAL + "[control.pid.altitude]\np = 40.0\ni = 160.0") == (
+        "control.pid.altitude.d: missing; give all three gains, or leave the table out"
+    )
 
 
 @pytest.mark.parametrize("url", ["udp:127.0.0.1:14540", "udpin:127.0.0.1", "serial:/dev/ttyUSB0:fast"])

@@ -23,7 +23,7 @@ def values(tuning):
 
 @pytest.mark.parametrize("file", FILES)
 @pytest.mark.parametrize("output", ["rates", "attitude"])
-@pytest.mark.parametrize("controller", ["kffa-ladrc", "cascaded-pid"])
+@pytest.mark.parametrize("controller", ["kffa-ladrc", "pid", "cascaded-pid"])
 def test_every_name_fits_the_wire_and_is_there_once(file, output, controller):
     tuning = load(bundled(file), Overrides(output=output, controller=controller)).tuning
     names = [tunable.name for tunable in tuning.tunables]
@@ -41,6 +41,14 @@ def test_parameters_are_those_of_what_is_flown():
     assert "ROLL_NAT_FREQ" in attitude.keys() - rates.keys()
     assert "POS_OMEGA_C" in ring.keys() - rates.keys()
     assert "PID_CLIMB_P" in cascade.keys() - rates.keys()
+    single = load(bundled("compare-px4.toml"), Overrides(controller="pid")).tuning
+    assert {name for name in values(single) if name.startswith("PID_")} == {
+        "PID_ALT_P",
+        "PID_ALT_I",
+        "PID_ALT_D",
+    }
+    changed = single.with_value("PID_ALT_I", 100.0).settings.controller.pid
+    assert (changed.kp[3], changed.ki[3], changed.kd[3]) == (40.0, 100.0, 14.0)
 
 
 def test_the_settings_follow_a_value_and_nothing_else_changes():

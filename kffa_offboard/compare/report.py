@@ -178,8 +178,9 @@ def _setup(plan: ComparePlan, results: Sequence[Result]) -> str:
         f"Telemetry {conditions.rate_hz:g} Hz; link delay {1000 * conditions.delay_s:g} ms there and back, in simulated "
         "time. Firmware, physics and daemon wait for each other every 4 ms (lock-step), so the figures do "
         "not depend on the computer.",
-        f"PID is a single loop, cascaded PID has PX4’s structure and default gains, LADRC is the same law "
-        "without fuzzy rules and Kalman filter. All of them know delay and lag where they can use them. "
+        "PID is a single loop with the gains of the configuration, cascaded PID has PX4’s structure and default "
+        "gains, LADRC is the same law without fuzzy rules and Kalman filter. All of them know delay and lag where "
+        "they can use them. "
         f"Output {DEFAULT_OUTPUT[plan.autopilot]} unless the row says otherwise.",
     ]
     items += [

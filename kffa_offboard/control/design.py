@@ -47,8 +47,7 @@ class DesignSettings:
     use_differentiator : False gives the law the reference as it is
     error_scale, error_rate_scale, omega_c_range : fuzzy scaling (`fuzzy.FuzzyParameters`)
     measurement_variance, rate_variance, disturbance_intensity : Kalman filter (`kalman.KalmanParameters`)
-    pid_gains : (3, 4) kp, ki, kd; None puts three poles at w = omega_c / 2: 3 w^2, w^3, 3 w
-        (at omega_c itself the delays that LADRC looks ahead over make a PID unstable)
+    pid_gains : (3, 4) kp, ki, kd; None has those of `three_poles`
     hand_gains : (5, 4) kp, kd, l1, l2, l3 of the WB-LADRC; None takes what a person arrives at by hand: the
         same stiffness with damping ratio 0.5 and observer poles spread 1 : 2 : 3 up to omega_o
     cascade : True (4,) where `cascaded-pid` is P over PI; elsewhere it is P to a rate loop
@@ -184,9 +183,17 @@ def _hand_gains(settings: DesignSettings) -> Array:
     return np.array([w**2, w, a + b + c, a * b + b * c + a * c, a * b * c])
 
 
+def three_poles(omega_c: Array) -> Array:
+    """PID gains ``(3, 4)`` that put three poles of an ideal double integrator at omega_c / 2.
+
+    At omega_c itself the delays that LADRC looks ahead over make a PID unstable.
+    """
+    w = omega_c / 2.0
+    return np.array([3 * w**2, w**3, 3 * w])
+
+
 def _parallel_pid(settings: DesignSettings) -> pid.PidParameters:
-    w = settings.omega_c / 2.0
-    kp, ki, kd = np.array([3 * w**2, w**3, 3 * w]) if settings.pid_gains is None else settings.pid_gains
+    kp, ki, kd = three_poles(settings.omega_c) if settings.pid_gains is None else settings.pid_gains
     never = np.zeros(len(settings.b0), dtype=bool)
     return pid.PidParameters(kp, ki, kd, settings.b0, settings.trim, never, never, never)
 
