@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from kffa_offboard.compare.plan import AutopilotName, Trial
+from kffa_offboard.compare.plan import AutopilotName, HeightSource, Trial
 from kffa_offboard.config import bundled
 from kffa_offboard.errors import UserError
 from kffa_offboard.trials.processes import free_port
@@ -36,8 +36,11 @@ TUNED_FILES: dict[AutopilotName, str] = {
     "px4": "compare-px4-tuned.params",
     "ardupilot": "compare-ardupilot-tuned.parm",
 }
-RANGE_FINDER_FILE = "compare-px4-range.params"
-"""PX4's estimate takes its height from the range finder."""
+HEIGHT_FILES: dict[HeightSource, str] = {
+    "range finder": "compare-px4-range.params",
+    "barometer": "compare-px4-baro.params",
+}
+"""What has PX4's estimate take its height from there."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +85,8 @@ def parameter_files(autopilot: AutopilotName, trial: Trial) -> list[str]:
     names = [PARAMETER_FILES[autopilot]]
     if trial.tuned:
         names.append(TUNED_FILES[autopilot])
-    if trial.conditions.range_finder:
-        names.append(RANGE_FINDER_FILE)
+    if trial.conditions.height_source in HEIGHT_FILES:
+        names.append(HEIGHT_FILES[trial.conditions.height_source])
     return names
 
 
@@ -160,13 +163,16 @@ PX4 = Firmware("px4-hil-vehicle.toml", "px4_hil", px4, lambda instance: instance
 
 
 def physics_backend(
-    name: Firmware, port: int, barrier_port: int, range_finder: bool = False
+    name: Firmware, port: int, barrier_port: int, height_source: HeightSource = "default"
 ) -> dict[str, Any]:
     """[backend] of physics that goes as fast as the firmware can; `barrier_port` 0 for no barrier."""
     section: dict[str, Any] = {"port": port}
     if name.section == PX4.section:
         # OFFBOARD before its first setpoint stops PX4's outputs, and with them its time: go on soon.
-        section |= {"outputs_timeout_s": OUTPUTS_TIMEOUT_S, "range_finder": range_finder}
+        section |= {
+            "outputs_timeout_s": OUTPUTS_TIMEOUT_S,
+            "range_finder": height_source == "range finder",
+        }
     backend: dict[str, Any] = {"real_time_factor": 0.0, name.section: section}
     if barrier_port:
         backend |= {"barrier_port": barrier_port, "barrier_period_s": name.barrier_period_s}

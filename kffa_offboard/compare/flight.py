@@ -64,7 +64,7 @@ def fly(setup: Setup, trial: Trial, progress: Progress) -> Flown:
 
 def _fly_native(setup: Setup, trial: Trial, running: Simulation, progress: Progress) -> Flown:
     """The autopilot's own modes, with `Pilot` as the ground station."""
-    from_ground = trial.conditions.range_finder
+    from_ground = trial.conditions.height_source == "range finder"
     pilot = Pilot(setup.autopilot, running.target_system, HEIGHT_M, END_S, from_ground)
     component, parser = Component(pilot.route), FrameParser(keeps_frames_whole=True)
     clock = real_time_clock()

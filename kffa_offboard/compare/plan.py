@@ -8,6 +8,7 @@ from typing import Literal, TypeAlias
 
 AutopilotName: TypeAlias = Literal["px4", "ardupilot"]
 CourseName: TypeAlias = Literal["load", "release", "attitude"]
+HeightSource: TypeAlias = Literal["default", "range finder", "barometer"]
 
 HEIGHT_M = 5.0
 """Where every trial hovers."""
@@ -46,7 +47,9 @@ class Conditions:
     rate_hz : attitude and position telemetry
     delay_s : of the link between vehicle and daemon, half of it each way
     seed : of the noise of sensors; the daemon starts later with each
-    range_finder : the vehicle has one, and the autopilot's own estimate is set to take its height from it
+    height_source : what the autopilot's own estimate takes its height from: "default" is the firmware's own
+        choice (PX4 the satellite fixes, ArduCopter the barometer); the others are for PX4, which is set to
+        them, and a range finder is fitted where it is the source
     """
 
     load_kg: float = 5.0
@@ -54,7 +57,7 @@ class Conditions:
     rate_hz: float = 100.0
     delay_s: float = NORMAL_DELAY_S
     seed: int = 0
-    range_finder: bool = False
+    height_source: HeightSource = "default"
 
 
 def head_start_s(autopilot: AutopilotName, conditions: Conditions) -> float:
@@ -127,6 +130,8 @@ class ComparePlan:
 NATIVE_MODE: dict[AutopilotName, str] = {"px4": "Hold", "ardupilot": "Guided"}
 DEFAULT_OUTPUT: dict[AutopilotName, str] = {"px4": "rates", "ardupilot": "attitude"}
 OTHER_OUTPUT = {"rates": "attitude", "attitude": "rates"}
+HEIGHT_ENDINGS: dict[HeightSource, str] = {"range finder": "-range", "barometer": "-baro"}
+"""Of the names of rows in which PX4 is set to take its height from there."""
 
 
 def trials(plan: ComparePlan) -> list[Trial]:
@@ -191,18 +196,18 @@ def _harder(autopilot: AutopilotName, conditions: Conditions) -> list[Trial]:
         for key in ("2kg", "6.73kg", "offset")
         for changed in [harder[key][1]]
     ]
-    return rows + (_with_range_finder(mode, output, conditions) if autopilot == "px4" else [])
+    if autopilot == "px4":
+        for source, ending in HEIGHT_ENDINGS.items():
+            rows += _with_height_from(source, ending, conditions)
+    return rows
 
 
-def _with_range_finder(mode: str, output: str, conditions: Conditions) -> list[Trial]:
-    """The main rows again on a vehicle that measures its height above the ground."""
-    better = replace(conditions, range_finder=True)
-    rows = [
-        Trial("native-stock-range", f"{mode}, stock gains, range finder", "native"),
-        Trial("native-tuned-range", f"{mode}, tuned gains, range finder", "native", tuned=True),
-        Trial("kffa-ladrc-range", "KFFA-LADRC, range finder", "kffa-ladrc", output),
-        Trial(
-            "release-range", "KFFA-LADRC, own release, range finder", "kffa-ladrc", output, course="release"
-        ),
+def _with_height_from(source: HeightSource, ending: str, conditions: Conditions) -> list[Trial]:
+    """The main rows again, with PX4's estimate set to take its height from `source`."""
+    again = ("native-stock", "native-tuned", "kffa-ladrc", "release")
+    better = replace(conditions, height_source=source)
+    return [
+        replace(row, name=row.name + ending, label=f"{row.label}, {source}")
+        for row in _standard("px4", better)
+        if row.name in again
     ]
-    return [replace(row, conditions=better) for row in rows]

@@ -10,7 +10,7 @@ from html import escape
 from pathlib import Path
 
 from kffa_offboard import __version__
-from kffa_offboard.compare.firmware import PARAMETER_FILES, RANGE_FINDER_FILE, TUNED_FILES
+from kffa_offboard.compare.firmware import HEIGHT_FILES, PARAMETER_FILES, TUNED_FILES
 from kffa_offboard.compare.measure import RECOVERED_M, LoadFigures
 from kffa_offboard.compare.plan import DEFAULT_OUTPUT, DROP_S, HEIGHT_M, NATIVE_MODE, PICKUP_S, ComparePlan
 from kffa_offboard.compare.results import Result, Verdict
@@ -208,7 +208,7 @@ def _parameters(plan: ComparePlan) -> str:
         ("The daemon", f"compare-{plan.autopilot}.toml"),
     ]
     if plan.autopilot == "px4":
-        rows.append(("Rows with a range finder: these beside", RANGE_FINDER_FILE))
+        rows += [(f"Rows “{source}”: these beside", name) for source, name in HEIGHT_FILES.items()]
     for title, name in rows:
         text = bundled(name).read_text(encoding="utf-8")
         parts.append(f"<details><summary>{title}: {name}</summary><pre>{escape(text)}</pre></details>")

@@ -9,7 +9,7 @@ from typing import Any
 from kffa_offboard.compare.estimate import EstimateFigures
 from kffa_offboard.compare.flight import Flown
 from kffa_offboard.compare.measure import LoadFigures, StepFigures
-from kffa_offboard.compare.plan import DEFAULT_OUTPUT, AutopilotName, ComparePlan, Trial
+from kffa_offboard.compare.plan import DEFAULT_OUTPUT, HEIGHT_ENDINGS, AutopilotName, ComparePlan, Trial
 from kffa_offboard.trials.metrics import Truth
 
 
@@ -65,8 +65,9 @@ def verdicts(plan: ComparePlan, results: Sequence[Result]) -> list[Verdict]:
     by_name = {result.trial.name: result for result in results}
     found = _with_same_sensors(plan.autopilot, by_name, "")
     found += [
-        replace(verdict, target=f"range finder: {verdict.target}")
-        for verdict in _with_same_sensors(plan.autopilot, by_name, "-range")
+        replace(verdict, target=f"{source}: {verdict.target}")
+        for source, ending in HEIGHT_ENDINGS.items()
+        for verdict in _with_same_sensors(plan.autopilot, by_name, ending)
     ]
     offset = _load(by_name, "kffa-ladrc-offset")
     if offset is not None:

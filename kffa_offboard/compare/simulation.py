@@ -168,7 +168,7 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
     )
     wanted = name.start(binary, directory, link.firmware_port, instance, trial)
     backend = firmware.physics_backend(
-        name, wanted.physics_port, link.physics_port, trial.conditions.range_finder
+        name, wanted.physics_port, link.physics_port, trial.conditions.height_source
     )
     document = merged(_read(bundled(name.physics)), {"backend": backend})
     physics = _physics(setup, trial, truth, document, stack)

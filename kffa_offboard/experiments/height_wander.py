@@ -4,9 +4,11 @@ Prints the table of docs/comparison.md as Markdown: IAE and peak of the error of
 its mean in the 5 s before the pick-up, in the 5 s after pick-up and drop (10 s later). A vehicle that held
 the estimate exactly would move by that much. The estimate is the vertical part of PX4's EKF2 with the noises
 that it assumes by default (height, climb rate, accelerometer bias; satellite fix, accelerometer, and a range
-finder where there is one), of the sensors that the simulation gives it, in hover. Without the barometer:
-EKF2 takes 3.5 m for its noise, which leaves it next to no weight. A filter that knows the noise is the Kalman
-filter whose assumptions are the sensors' true noises: none that hears the same sensors has less variance.
+finder where there is one), of the sensors that the simulation gives it, in hover. Without the barometer, but
+for its own rows: EKF2 takes 3.5 m for its noise, which leaves it next to no weight. There it is told the
+noise that the row says, and the fixes' height has no offset, which EKF2 would take out within 2 s. A filter
+that knows the noise is the Kalman filter whose assumptions are the sensors' true noises: none that hears the
+same sensors has less variance.
 
 ``--flights`` replaces the number of flights (400).
 """
@@ -24,7 +26,7 @@ from kffa_offboard.control import Array
 from kffa_offboard.trials.metrics import WINDOW_S
 
 STEP_S = 0.01
-FIX_STEPS, RANGE_STEPS = 10, 5
+FIX_STEPS, RANGE_STEPS, PRESSURE_STEPS = 10, 5, 6
 PICKUP_S, DROP_S = 60.0, 70.0
 FOLLOWING_S = (0.6, 2.0, 6.0)
 """Times in which a filter on estimated height and climb rate follows the height."""
@@ -39,6 +41,7 @@ class Noises:
     acceleration : m/s^2, of the mean over `STEP_S`
     fix_velocity, fix_height : m/s, m; of a satellite fix, ten a second
     distance : m; of a range finder, twenty a second
+    pressure : m; of the mean of three samples of a barometer, one every 60 ms
     bias_growth : m/s^2 per step, of the accelerometer's bias
     """
 
@@ -46,6 +49,7 @@ class Noises:
     fix_velocity: float
     fix_height: float
     distance: float = np.inf
+    pressure: float = np.inf
     bias_growth: float = 0.0
 
 
@@ -55,11 +59,17 @@ SENSORS = Noises(acceleration=0.05 / np.sqrt(2.5), fix_velocity=0.05, fix_height
 RANGE_FINDER_M = float(np.hypot(0.02, 0.01 / np.sqrt(12.0)))
 """With its message's centimetres."""
 
+BAROMETER_M = float(0.0873 / np.sqrt(3.0))
+"""1 Pa at 488 m above the sea, of which PX4 averages three samples (SENS_BARO_RATE)."""
+
 EKF2 = Noises(acceleration=0.35, fix_velocity=1.5 * 0.3, fix_height=1.5 * 0.5, bias_growth=0.003 * STEP_S)
 """Defaults of EKF2_ACC_NOISE, EKF2_GPS_V_NOISE, EKF2_GPS_P_NOISE (vertical: 1.5 times), EKF2_ACC_B_NOISE."""
 
 EKF2_DISTANCE = float(np.hypot(0.1, 0.01 * 5.0))
 """EKF2_RNG_NOISE and EKF2_RNG_SFE (configs/compare-px4-range.params) at 5 m."""
+
+EKF2_PRESSURES = (0.1, 0.2, 0.35, 0.5, 1.0)
+"""What EKF2_BARO_NOISE might be, m; 0.5 in configs/compare-px4-baro.params."""
 
 
 def estimates(true: Noises, assumed: Noises, flights: int, seed: int = 0) -> tuple[Array, Array]:
@@ -71,7 +81,12 @@ def estimates(true: Noises, assumed: Noises, flights: int, seed: int = 0) -> tup
     covariance = np.diag([0.1, 0.1, 0.01])
     state = np.zeros((3, flights))
     errors = np.empty((steps, 2, flights))
-    measured = ((1, "fix_velocity", FIX_STEPS), (0, "fix_height", FIX_STEPS), (0, "distance", RANGE_STEPS))
+    measured = (
+        (1, "fix_velocity", FIX_STEPS),
+        (0, "fix_height", FIX_STEPS),
+        (0, "distance", RANGE_STEPS),
+        (0, "pressure", PRESSURE_STEPS),
+    )
     for step in range(steps):
         state = model @ state
         state[1] += STEP_S * true.acceleration * generator.standard_normal(flights)
@@ -136,6 +151,18 @@ def rows(flights: int) -> list[tuple[str, Array]]:
         found.append((label, followed(height, climb_rate, time_s)))
     found.append(("a filter that knows the noise", knowing))
     found.append(("EKF2's height, range finder", ranged))
+    return found + barometer_rows(flights)
+
+
+def barometer_rows(flights: int) -> list[tuple[str, Array]]:
+    """Label and error where EKF2 believes the barometer by what it is told of its noise."""
+    with_air = replace(SENSORS, pressure=BAROMETER_M)
+    found = []
+    for told in EKF2_PRESSURES:
+        height, _ = estimates(with_air, replace(EKF2, pressure=told), flights)
+        found.append((f"EKF2's height, barometer, told {told:g} m", height))
+    knowing, _ = estimates(with_air, with_air, flights)
+    found.append(("a filter that knows the noise, barometer", knowing))
     return found
 
 

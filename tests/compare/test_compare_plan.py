@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -10,7 +11,15 @@ import pytest
 from kffa_offboard.compare.course import course, flown_steps
 from kffa_offboard.compare.firmware import PX4, parameter_files, physics_backend
 from kffa_offboard.compare.flight import daemon_document
-from kffa_offboard.compare.plan import AutopilotName, ComparePlan, Conditions, Trial, head_start_s, trials
+from kffa_offboard.compare.plan import (
+    AutopilotName,
+    ComparePlan,
+    Conditions,
+    HeightSource,
+    Trial,
+    head_start_s,
+    trials,
+)
 from kffa_offboard.compare.simulation import Setup, Simulation
 from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.config import bundled, load
@@ -89,12 +98,25 @@ def test_each_seed_takes_another_stretch_of_the_firmwares_own_noise(autopilot: A
     assert starts[1] - starts[0] == starts[2] - starts[1] > 1.0
 
 
-def test_range_finder_rows_have_the_sensor_and_parameters_that_use_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("source", "ending", "file"),
+    [
+        ("range finder", "-range", "compare-px4-range.params"),
+        ("barometer", "-baro", "compare-px4-baro.params"),
+    ],
+)
+def test_rows_with_another_height_have_the_sensor_and_parameters_that_use_it(
+    source: HeightSource, ending: str, file: str
+) -> None:
     rows = {trial.name: trial for trial in trials(plan())}
-    for name in ("native-stock-range", "native-tuned-range", "kffa-ladrc-range", "release-range"):
-        assert parameter_files("px4", rows[name])[-1] == "compare-px4-range.params"
-        assert rows[name].conditions.range_finder
+    for name in ("native-stock", "native-tuned", "kffa-ladrc", "release"):
+        row = rows[name + ending]
+        assert row.label == f"{rows[name].label}, {source}"
+        assert replace(row, name=name, label=rows[name].label, conditions=Conditions()) == rows[name]
+        assert parameter_files("px4", row)[-1] == file
+        assert row.conditions == Conditions(height_source=source)
     assert parameter_files("px4", rows["native-stock"]) == ["px4-hil/px4-rc.params"]
-    assert not any(trial.conditions.range_finder for trial in trials(plan("ardupilot")))
-    backend = physics_backend(PX4, 4581, 0, range_finder=True)
-    assert build({"backend": {"kind": "px4-hil", **backend}}, "test").backend.px4_hil.range_finder
+    assert all(trial.conditions.height_source == "default" for trial in trials(plan("ardupilot")))
+    backend = physics_backend(PX4, 4581, 0, source)
+    built = build({"backend": {"kind": "px4-hil", **backend}}, "test").backend.px4_hil
+    assert built.range_finder == (source == "range finder")

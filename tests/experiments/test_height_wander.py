@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from kffa_offboard.experiments.height_wander import (
+    BAROMETER_M,
     EKF2,
     EKF2_DISTANCE,
     RANGE_FINDER_M,
@@ -40,6 +41,23 @@ def test_a_range_finder_leaves_a_third_of_the_wander() -> None:
     )
     for with_it, without in zip(iae(ranged), iae(plain), strict=True):
         assert with_it < without / 3.0
+
+
+def test_a_barometer_that_is_told_as_exaggerated_a_noise_as_the_others_is_used_as_well_as_can_be() -> None:
+    with_air = replace(SENSORS, pressure=BAROMETER_M)
+    plain, told, trusted, knowing = (
+        iae(estimates(true, assumed, FLIGHTS)[0])
+        for true, assumed in (
+            (SENSORS, EKF2),
+            (with_air, replace(EKF2, pressure=0.5)),
+            (with_air, replace(EKF2, pressure=0.1)),
+            (with_air, with_air),
+        )
+    )
+    for without, usual, overdone, best in zip(plain, told, trusted, knowing, strict=True):
+        assert usual < 0.6 * without
+        assert usual < 1.1 * best
+        assert overdone > 1.2 * usual
 
 
 def test_whoever_follows_the_height_at_once_has_its_error() -> None:

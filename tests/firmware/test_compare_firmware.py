@@ -75,11 +75,12 @@ def test_a_load_moves_it_less_under_kffa_ladrc_than_in_its_own_mode(
     assert release["drop"]["peak_m"] < documented.release_peak_m
 
 
-def test_with_a_range_finder_px4s_true_height_keeps_within_every_bound(
-    firmware_binary: Callable[[str], Path], tmp_path: Path
+@pytest.mark.parametrize("ending", ["-range", "-baro"])
+def test_with_another_height_px4s_true_height_keeps_within_every_bound(
+    ending: str, firmware_binary: Callable[[str], Path], tmp_path: Path
 ) -> None:
-    """Beside PX4's own mode with the same one."""
-    names = ("native-stock-range", "kffa-ladrc-range", "release-range")
+    """Beside PX4's own mode with the same one: a range finder, or the barometer."""
+    names = [name + ending for name in ("native-stock", "kffa-ladrc", "release")]
     rows = flown("px4", firmware_binary("px4"), tmp_path / "out", names)
     stock, ours, release = (rows[name]["load"] for name in names)
     documented = DOCUMENTED["px4"]
