@@ -94,8 +94,8 @@ def identify(
 ) -> None:
     """Find each channel's b0, lag and delay, with confidence intervals, from flights with enough excitation.
 
-    The result is a part of a configuration: [control.altitude], [control.rates.*] or [control.attitude.*].
-    A channel that was not moved enough is named, with what to fly.
+    The result is a part of a configuration: `[control.altitude]`, `[control.rates.*]` or
+    `[control.attitude.*]`. A channel that was not moved enough is named, with what to fly.
     """
     from kffa_offboard.loganalysis.identify_command import run_identify
 

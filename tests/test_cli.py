@@ -93,3 +93,8 @@ def test_a_directory_that_cannot_be_made_is_refused(
     (tmp_path / "file").touch()
     assert status_of("demo", "--out", str(tmp_path / "file" / "out")) == 2
     assert capsys.readouterr().err.startswith(f"error: --out {tmp_path / 'file' / 'out'}: ")
+
+
+def test_the_help_of_identify_names_its_tables_in_full(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("identify", "--help") == 0
+    assert "[control.attitude.*]" in capsys.readouterr().out
