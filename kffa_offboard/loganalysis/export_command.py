@@ -10,6 +10,7 @@ from kffa_offboard.flightlog.plot import csv_lines
 from kffa_offboard.flightlog.signals import ARRAY_ID, LIVE_ARRAY_ID, SignalTable, is_signals, table
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.flightlog.writer import following_parts
+from kffa_offboard.loganalysis.output_files import refuse_inputs
 
 
 def run_export(log: Path, out: Path | None) -> int:
@@ -18,8 +19,10 @@ def run_export(log: Path, out: Path | None) -> int:
     Raises UserError for a log that cannot be read or holds no signals, and a file that cannot be written.
     """
     out = log.with_name(f"{log.name.removesuffix('.gz').removesuffix('.tlog')}.csv") if out is None else out
+    refuse_inputs(out, (log, *following_parts(log)))
     found = _signals(log)
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
         with out.open("w", encoding="ascii") as file:
             file.writelines(csv_lines(found))
     except OSError as error:

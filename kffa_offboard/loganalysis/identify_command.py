@@ -13,12 +13,14 @@ from kffa_offboard.errors import UserError
 from kffa_offboard.loganalysis.fit import Estimate
 from kffa_offboard.loganalysis.identify import Identification, identify
 from kffa_offboard.loganalysis.model_file import as_toml, model_tables
-from kffa_offboard.loganalysis.output_files import write_text
+from kffa_offboard.loganalysis.output_files import refuse_inputs, write_text
 from kffa_offboard.loganalysis.read import read_log
 
 
 def run_identify(logs: list[Path], out: Path | None, link_delay_s: float, as_json: bool) -> int:
     """Do it; exit status 0 if a channel was identified, 1 if none was."""
+    if out is not None:
+        refuse_inputs(out, logs)
     records = [read_log(log) for log in logs]
     if len({record.commands_sent for record in records}) > 1:
         raise UserError(

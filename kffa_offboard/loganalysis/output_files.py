@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
 from kffa_offboard.errors import UserError
@@ -14,6 +15,12 @@ def make_directory(path: Path) -> Path:
     except OSError as error:
         raise UserError(f"--out {path}: {error.strerror}; choose another directory") from error
     return path
+
+
+def refuse_inputs(out: Path, inputs: Sequence[Path]) -> None:
+    """Raises UserError if writing `out` would destroy one of the files that are read."""
+    if any(out.resolve() == path.resolve() for path in inputs):
+        raise UserError(f"--out {out}: is what is to be read, which would be lost; name another file")
 
 
 def write_text(path: Path, text: str) -> None:

@@ -107,6 +107,18 @@ def test_the_export_goes_on_through_the_further_files_of_a_flight(tmp_path):
     assert len(rows_of(tmp_path / "whole.csv")) == 2
 
 
+def test_the_export_makes_its_directory_and_never_writes_over_the_log(tmp_path, capsys):
+    log = write_log(tmp_path / "flight.tlog", [STEP])
+    part = write_log(tmp_path / "flight-2.tlog", [STEP])
+    recorded = log.read_bytes()
+    assert exported(log, "--out", tmp_path / "new" / "flight.csv") == 0
+    assert len(rows_of(tmp_path / "new" / "flight.csv")) == 2
+    for target in (log, part):
+        assert exported(log, "--out", target) == 2
+        assert f"--out {target}: is what is to be read" in capsys.readouterr().err
+    assert (log.read_bytes(), part.read_bytes()) == (recorded, recorded)
+
+
 def test_of_a_ground_station_s_log_the_live_signals_are_exported(tmp_path):
     path = tmp_path / "ground.tlog"
     daemon = mavlink.MAVLink(None, srcSystem=245, srcComponent=191)

@@ -14,6 +14,7 @@ from pymavlink.DFReader import DFReader_binary
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.loganalysis import dataflash
+from kffa_offboard.loganalysis.identify_command import run_identify
 from kffa_offboard.loganalysis.read import read_log
 
 KINDS = ("tlog", "dataflash", "ulog")
@@ -127,3 +128,11 @@ def test_no_damage_crashes_or_hangs_a_reader(kind: str, log_files: dict[str, Pat
             assert "\n" not in str(error)
         else:
             assert np.all(np.diff(record.attitude.time_s) > 0.0)
+
+
+def test_identify_never_writes_its_model_over_a_log(log_files: dict[str, Path]) -> None:
+    log = log_files["tlog"]
+    recorded = log.read_bytes()
+    with pytest.raises(UserError, match="is what is to be read"):
+        run_identify([log], log, 0.0, as_json=True)
+    assert log.read_bytes() == recorded
