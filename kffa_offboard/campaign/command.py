@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -162,8 +163,8 @@ def _alone(plan: CampaignPlan, campaign: Campaign) -> int:
     directory = plan.directory / f"flight-{plan.flight:08d}"
     directory.mkdir(parents=True, exist_ok=True)
     flown = [fly_alone(campaign, name, plan.flight, plan.width) for name in campaign.services]
-    rows = {flight.controller: {**flight.row(), "failure": flight.failure} for flight in flown}
-    text = json.dumps(rows, indent=1)
+    rows = {flight.controller: _plain(flight) for flight in flown}
+    text = json.dumps(rows, indent=1, allow_nan=False)
     (directory / "flight.json").write_text(text + "\n", encoding="utf-8")
     draw_single(directory / "flight.png", campaign, flown)
     shown = render([as_report_flight(campaign, flight) for flight in flown], "start")
@@ -173,6 +174,12 @@ def _alone(plan: CampaignPlan, campaign: Campaign) -> int:
     else:
         _tell(flown, directory)
     return 0
+
+
+def _plain(flight: SingleFlight) -> dict[str, float | str | None]:
+    """Its row as JSON knows it, which has no NaN: `failed_at_s` of a flight that did not fail is None."""
+    row = {name: None if math.isnan(value) else value for name, value in flight.row().items()}
+    return {**row, "failure": flight.failure}
 
 
 def _tell(flown: list[SingleFlight], directory: Path) -> None:
