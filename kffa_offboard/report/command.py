@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -68,9 +68,18 @@ def without_parts(logs: Sequence[Path]) -> list[Path]:
 
 
 def distinct_names(logs: Sequence[Path]) -> list[str]:
-    """Names of the flights: those of the files; with their directories where files are called alike."""
-    counts = Counter(short_name(log) for log in logs)
-    return [name if counts[name := short_name(log)] == 1 else str(log.with_name(name)) for log in logs]
+    """Names of the flights: those of the files; with suffix or directory where files are called alike."""
+    namings: Sequence[Callable[[Path], str]] = (
+        short_name,
+        lambda log: log.name,
+        lambda log: str(log.with_name(short_name(log))),
+    )
+    names = [str(log) for log in logs]
+    for naming in reversed(namings):
+        shorter = [naming(log) for log in logs]
+        counts = Counter(shorter)
+        names = [new if counts[new] == 1 else old for new, old in zip(shorter, names, strict=True)]
+    return names
 
 
 def _count(number: int, what: str) -> str:

@@ -192,6 +192,14 @@ def test_flights_called_alike_are_told_apart_by_their_directories(tmp_path):
     assert names[2] == "own"
 
 
+def test_flights_called_alike_in_one_directory_are_told_apart_by_their_suffixes(tmp_path):
+    logs = [tmp_path / name for name in ("flight.tlog", "flight.ulg", "flight.BIN", "own.BIN")]
+    elsewhere = tmp_path / "b" / "flight.tlog"
+
+    assert distinct_names(logs) == ["flight.tlog", "flight.ulg", "flight.BIN", "own"]
+    assert len(set(distinct_names([*logs, elsewhere]))) == 5
+
+
 def test_thinning_keeps_every_extreme_and_the_ends(noise):
     values = noise.normal(size=60_000)
     values[12_345], values[54_321] = 100.0, -100.0
