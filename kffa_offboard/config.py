@@ -143,6 +143,14 @@ def bundled(name: str) -> Path:
     )
 
 
+# A table that only the other configuration has, in the order in which they are looked for.
+_OTHER_PROGRAMS = {
+    "campaign": "random flights; give it to `kffa-offboard campaign`",
+    "examples": "the paper's examples, which `kffa-offboard paper` reads by itself",
+    "vehicle": "sim-vehicle; give it to `sim-vehicle run --config`",
+}
+
+
 def load(path: Path, overrides: Overrides | None = None) -> DaemonConfig:
     """Read and check the file at `path`.
 
@@ -156,8 +164,9 @@ def load(path: Path, overrides: Overrides | None = None) -> DaemonConfig:
     file = str(path)
     overrides = overrides or Overrides()
     document = read_toml(path)
-    if "vehicle" in document and "control" not in document:
-        raise ConfigError(file, ["is a configuration of sim-vehicle; give it to `sim-vehicle run --config`"])
+    for table, use in _OTHER_PROGRAMS.items():
+        if table in document and "control" not in document:
+            raise ConfigError(file, [f"is a configuration of {use}"])
     if overrides.link is not None:
         parse_url(overrides.link)  # its complaint names the link, not the file
     for table, key, value in (

@@ -339,9 +339,18 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
         load(binary)
 
 
-def test_a_configuration_of_the_simulator_is_recognised() -> None:
-    with pytest.raises(ConfigError, match="is a configuration of sim-vehicle"):
-        load(bundled("sim-px4.toml"))
+@pytest.mark.parametrize(
+    ("name", "use"),
+    [
+        ("sim-px4.toml", "sim-vehicle; give it to `sim-vehicle run --config`"),
+        ("campaign.toml", "random flights; give it to `kffa-offboard campaign`"),
+        ("paper.toml", "the paper's examples, which `kffa-offboard paper` reads by itself"),
+    ],
+)
+def test_a_configuration_of_another_command_is_recognised_in_one_line(name: str, use: str) -> None:
+    with pytest.raises(ConfigError) as refused:
+        load(bundled(name))
+    assert str(refused.value) == f"{bundled(name)}: is a configuration of {use}"
 
 
 def test_measured_rates_are_fused_unless_told_otherwise(file: Path) -> None:
