@@ -33,6 +33,7 @@ _TOPICS = [
     "vehicle_land_detected",
 ]
 MAGIC = b"ULog\x01\x12\x35"
+_HEADER_BYTES, _RECORD_BYTES = 16, 3
 
 
 def _columns(data: dict[str, Any], names: tuple[str, ...]) -> Array | None:
@@ -124,16 +125,29 @@ def read(path: Path) -> FlightRecord:
         landed=_series(topics, "vehicle_land_detected", ("landed",), same, 1),
         notes=_notes(log, topics, armed),
         autopilot="px4",
-        damage=_damage(log),
+        damage=_damage(log, path),
     )
 
 
-def _damage(log: ULog) -> tuple[str, ...]:
-    damage = ["damaged stretches were skipped"] if log.file_corruption else []
+def _damage(log: ULog, path: Path) -> tuple[str, ...]:
+    damage = []
+    if log.file_corruption:
+        damage.append("damaged stretches were skipped")
+    elif _cut_short(path):
+        damage.append("the last record is incomplete")
     if log.dropouts:
         lost_s = sum(dropout.duration for dropout in log.dropouts) * 1e-3
         damage.append(f"{len(log.dropouts)} dropouts of the logger, {lost_s:.2f} s in all")
     return tuple(damage)
+
+
+def _cut_short(path: Path) -> bool:
+    """The last record ends after the file, which pyulog does not tell. Records: size (uint16), type, data."""
+    data = path.read_bytes()
+    at = _HEADER_BYTES
+    while at + _RECORD_BYTES <= len(data):
+        at += _RECORD_BYTES + data[at] + (data[at + 1] << 8)
+    return at != len(data)
 
 
 def _notes(log: ULog, topics: dict[str, dict[str, Any]], armed: Series) -> tuple[Note, ...]:

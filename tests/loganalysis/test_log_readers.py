@@ -75,8 +75,7 @@ def test_a_file_cut_short_gives_what_came_before_and_says_so(
     cut.write_bytes(data[: len(data) // 2 + 5])
     record = read_log(cut)
     assert 1.0 < record.duration_s < 3.0
-    if kind != "ulog":  # pyulog does not tell
-        assert record.partial
+    assert record.partial
 
 
 def test_a_log_that_begins_after_arming_was_armed_until_it_says_otherwise(
