@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import base64
+import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
@@ -12,7 +13,15 @@ from pathlib import Path
 from kffa_offboard import __version__
 from kffa_offboard.compare.firmware import HEIGHT_FILES, PARAMETER_FILES, TUNED_FILES
 from kffa_offboard.compare.measure import RECOVERED_M, LoadFigures
-from kffa_offboard.compare.plan import DEFAULT_OUTPUT, DROP_S, HEIGHT_M, NATIVE_MODE, PICKUP_S, ComparePlan
+from kffa_offboard.compare.plan import (
+    DEFAULT_OUTPUT,
+    DROP_S,
+    HEIGHT_M,
+    NATIVE_MODE,
+    PICKUP_S,
+    ComparePlan,
+    Conditions,
+)
 from kffa_offboard.compare.results import Result, Verdict
 from kffa_offboard.compare.table import LOAD_HEADER, STEP_HEADER, firmware_name, load_row, step_rows
 from kffa_offboard.config import bundled
@@ -22,13 +31,14 @@ _STYLE = """
 * { box-sizing: border-box; }
 body { margin: 0; background: var(--tint); color: var(--ink);
   font: 16px/1.55 'Helvetica Neue', Arial, sans-serif; }
-main { max-width: 1100px; margin: 0 auto; background: #fff; padding: 2.2rem 3rem 4rem; }
+main { max-width: 1240px; margin: 0 auto; background: #fff; padding: 2.2rem 3rem 4rem; }
 h1 { font-size: 1.6rem; line-height: 1.25; margin: 0 0 .6rem; }
 h2 { font-size: 1.2rem; margin: 2.4rem 0 .7rem; padding-top: .7rem; border-top: 2px solid var(--ink); }
 p, li { max-width: 50rem; }
 table { border-collapse: collapse; width: 100%; font-size: .88rem; margin: .5rem 0 1rem; }
 th, td { text-align: left; padding: .4rem .7rem .4rem 0; border-bottom: 1px solid var(--line); }
 th { font-size: .78rem; color: var(--soft); vertical-align: bottom; }
+.wide { overflow-x: auto; } .wide td:first-child { min-width: 8rem; }
 .number { text-align: right; white-space: nowrap; font-variant-numeric: tabular-nums; }
 tr.ours td { font-weight: 600; background: #eef4fb; }
 .holds, .fails { font-size: .76rem; font-weight: 600; padding: .1rem .5rem; border-radius: .25rem; }
@@ -73,6 +83,10 @@ def _name(plan: ComparePlan) -> str:
     return {"px4": "PX4", "ardupilot": "ArduCopter"}[plan.autopilot]
 
 
+def _real(plan: ComparePlan) -> bool:
+    return plan.firmware is not None or plan.join is not None
+
+
 def _head(plan: ComparePlan, results: Sequence[Result]) -> str:
     by_name = {result.trial.name: result.load for result in results}
     ours, stock = by_name.get("kffa-ladrc"), by_name.get("native-stock")
@@ -85,7 +99,8 @@ def _head(plan: ComparePlan, results: Sequence[Result]) -> str:
         said += f", and {_cm(ours)} under the KFFA-LADRC controller of a companion computer.</p>"
     return (
         f"<h1>KFFA-LADRC beside {_name(plan)}’s own height hold, with a load that comes and goes</h1>"
-        f"<p>{escape(firmware_name(plan, results))}, unmodified; kffa-offboard {__version__}. Same vehicle, same load, "
+        f"<p>Flown by {escape(firmware_name(plan, results))}{', unmodified' if _real(plan) else ''}, with kffa-offboard "
+        f"{__version__}. Same vehicle, same load, "
         "same moment, every figure from the simulator’s true states.</p>" + said
     )
 
@@ -106,7 +121,7 @@ def _table(header: Iterable[str], rows: Iterable[tuple[str, Sequence[str]]]) -> 
         + "</tr>"
         for kind, cells in rows
     )
-    return f"<table><tr>{head}</tr>{body}</table>"
+    return f"<div class=wide><table><tr>{head}</tr>{body}</table></div>"
 
 
 def _load_table(results: Sequence[Result]) -> str:
@@ -159,7 +174,7 @@ def _verdict_table(verdicts: Sequence[Verdict]) -> str:
 def _setup(plan: ComparePlan, results: Sequence[Result]) -> str:
     conditions = plan.conditions
     interface = {"px4": "HIL interface", "ardupilot": "JSON interface"}[plan.autopilot]
-    if plan.firmware is None and plan.join is None:
+    if not _real(plan):
         where = (
             "the simulator’s bundled imitation of the firmware: these figures say nothing about the real one"
         )
@@ -175,9 +190,7 @@ def _setup(plan: ComparePlan, results: Sequence[Result]) -> str:
         f"Height {HEIGHT_M:g} m. Native rows: a scripted ground station arms, sends NAV_TAKEOFF and leaves the vehicle "
         f"to {NATIVE_MODE[plan.autopilot]} mode. The other rows: the daemon arms, takes off and holds, with "
         "SET_ATTITUDE_TARGET (body rates or attitude, and thrust).",
-        f"Telemetry {conditions.rate_hz:g} Hz; link delay {1000 * conditions.delay_s:g} ms there and back, in simulated "
-        "time. Firmware, physics and daemon wait for each other every 4 ms (lock-step), so the figures do "
-        "not depend on the computer.",
+        _time(plan),
         "PID is a single loop with the gains of the configuration, cascaded PID has PX4’s structure and default "
         "gains, LADRC is the same law without fuzzy rules and Kalman filter. All of them know delay and lag where "
         "they can use them. "
@@ -194,6 +207,17 @@ def _setup(plan: ComparePlan, results: Sequence[Result]) -> str:
         if result.failure
     ]
     return "<ul>" + "".join(f"<li>{item}</li>" for item in items) + "</ul>"
+
+
+def _time(plan: ComparePlan) -> str:
+    join = plan.join
+    if join is not None and join.truth is not None and not join.lockstep:
+        return "The physics was running, too, and kept its own time, telemetry and link."
+    return (
+        f"Telemetry {plan.conditions.rate_hz:g} Hz; link delay {1000 * plan.conditions.delay_s:g} ms there and back, in "
+        "simulated time. Firmware, physics and daemon wait for each other (lock-step), so the figures do not depend on "
+        "the computer."
+    )
 
 
 def _parameters(plan: ComparePlan) -> str:
@@ -217,11 +241,25 @@ def _parameters(plan: ComparePlan) -> str:
 
 def _repeat(plan: ComparePlan) -> str:
     path = {"px4": "PX4-Autopilot/build/px4_sitl_default", "ardupilot": "ardupilot/build/sitl/bin/arducopter"}
-    firmware = "" if plan.firmware is None else f" --firmware {path[plan.autopilot]}"
-    if plan.join is not None:
-        firmware = f" --join {escape(plan.join.url)}"
+    normal, flown, join = Conditions(), plan.conditions, plan.join
+    options = {
+        "--firmware": None if plan.firmware is None else path[plan.autopilot],
+        "--join": join and join.url,
+        "--physics-port": join and join.physics_port,
+        "--truth": join and join.truth,
+        "--config": plan.config,
+        "--load": f"{flown.load_kg:g}",
+        "--offset": None if flown.offset_m == normal.offset_m else f"{flown.offset_m:g}",
+        "--rate": None if flown.rate_hz == normal.rate_hz else f"{flown.rate_hz:g}",
+        "--delay": None if flown.delay_s == normal.delay_s else f"{flown.delay_s:g}",
+        "--seed": flown.seed or None,
+    }
+    words = ["kffa-offboard", "compare", "--autopilot", plan.autopilot]
+    words += [word for name, value in options.items() if value is not None for word in (name, str(value))]
+    words += ["--lockstep"] if join is not None and join.lockstep else []
+    words += ["--full"] if plan.full else []
+    words += [word for name in plan.only for word in ("--only", name)]
     return (
-        f"<pre>kffa-offboard compare --autopilot {plan.autopilot}{firmware} "
-        f"--load {plan.conditions.load_kg:g}{' --full' if plan.full else ''} --out compare-out</pre>"
+        f"<pre>{escape(shlex.join([*words, '--out', 'compare-out']))}</pre>"
         "<p>Configurations, logs (.tlog) and true states (CSV) of every row are in the output directory.</p>"
     )

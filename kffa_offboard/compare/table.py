@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from rich.markup import escape
 from rich.table import Table
 
 from kffa_offboard.compare.plan import ComparePlan
@@ -25,6 +26,7 @@ LOAD_HEADER = (
 )
 STEP_HEADER = ("", "channel", "overshoot [%]", "settling [s]", "turns")
 _DASH = "—"
+_HEIGHTS = 7  # of the columns of LOAD_HEADER
 
 
 def firmware_name(plan: ComparePlan, results: Sequence[Result]) -> str:
@@ -86,18 +88,26 @@ def _seconds(value: float | None) -> str:
 
 
 def tables(plan: ComparePlan, results: Sequence[Result], verdicts: Sequence[Verdict]) -> list[Table]:
-    """For the terminal: heights, steps, targets."""
+    """For the terminal: heights, hover and tilt, steps, targets; each fits into 80 columns."""
     heights = Table(title=f"{firmware_name(plan, results)}: {plan.conditions.load_kg:g} kg on 10 kg")
+    hover = Table(title="Hover, tilt, and the autopilot's estimate of height")
     steps = Table(title="Steps of attitude")
     targets = Table("target", "measured", "", title="Targets")
-    for header, table in ((LOAD_HEADER, heights), (STEP_HEADER, steps)):
+    for header, table in (
+        (LOAD_HEADER[:_HEIGHTS], heights),
+        (LOAD_HEADER[:1] + LOAD_HEADER[_HEIGHTS:], hover),
+        (STEP_HEADER, steps),
+    ):
         for k, name in enumerate(header):
-            table.add_column(name, justify="left" if k == 0 else "right")
+            unit_below = escape(name.replace(" [", "\n["))
+            table.add_column(unit_below, justify="left" if k == 0 else "right")
     for result in results:
         if result.trial.course != "attitude":
-            heights.add_row(*load_row(result))
-        for row in step_rows(result):
-            steps.add_row(*row)
+            row = load_row(result)
+            heights.add_row(*row[:_HEIGHTS])
+            hover.add_row(row[0], *row[_HEIGHTS:])
+        for step in step_rows(result):
+            steps.add_row(*step)
     for verdict in verdicts:
         targets.add_row(verdict.target, verdict.measured, "met" if verdict.holds else "not met")
-    return [table for table in (heights, steps, targets) if table.row_count]
+    return [table for table in (heights, hover, steps, targets) if table.row_count]
