@@ -6,7 +6,7 @@ import contextlib
 import json
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
@@ -95,7 +95,8 @@ def _fly(settings: PaperSettings, plan: PaperPlan, console: Console) -> Flown:
     with contextlib.ExitStack() as stack:
         beside = None
         if ring and planned:
-            pool = stack.enter_context(get_context("spawn").Pool(1, _leave_interrupt_to_parent))
+            with _interrupt_held_back():
+                pool = stack.enter_context(get_context("spawn").Pool(1))
             beside = pool.apply_async(fly_position, (settings, ring_seeds, CONTROLLERS))
         stack.enter_context(bar)
         if bar.disable:
@@ -114,8 +115,14 @@ def _fly(settings: PaperSettings, plan: PaperPlan, console: Console) -> Flown:
         return Flown(seeds, traces, fly_position(settings, ring_seeds, CONTROLLERS, tick) if ring else {})
 
 
-def _leave_interrupt_to_parent() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+@contextlib.contextmanager
+def _interrupt_held_back() -> Iterator[None]:
+    """Processes started meanwhile leave Ctrl-C to this one from their first moment; here it comes after."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _judged(settings: PaperSettings, plan: PaperPlan, flown: Flown) -> tuple[dict[str, Any], list[Claim]]:

@@ -4,7 +4,12 @@ from __future__ import annotations
 
 import csv
 import json
+import os
 import re
+import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -55,3 +60,29 @@ def test_a_mistake_in_the_settings_is_named(tmp_path: Path) -> None:
     path.write_text(text.replace("load_kg = 5.0", "load_kg = 7.0"), encoding="utf-8")
     with pytest.raises(UserError, match=r"paper\.toml: examples\.load_kg = 7\.0: "):
         settings.load(path)
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="children are looked up in /proc")
+def test_ctrl_c_while_the_second_process_starts_is_one_word(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "kffa_offboard", "paper", "--seeds", "1", "--out", str(tmp_path)]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, start_new_session=True) as paper:
+        deadline = time.monotonic() + 60.0
+        while not any("spawn_main" in line for line in children_of(paper.pid)):
+            assert time.monotonic() < deadline and paper.poll() is None
+        os.killpg(paper.pid, signal.SIGINT)
+        assert paper.stderr is not None
+        said = paper.stderr.read()
+    assert said.splitlines()[-1] == "stopped"
+    assert "Traceback" not in said
+    assert paper.returncode == 130
+
+
+def children_of(process: int) -> list[str]:
+    """Their command lines."""
+    lines = []
+    for child in Path(f"/proc/{process}/task/{process}/children").read_text().split():
+        try:
+            lines.append(Path(f"/proc/{child}/cmdline").read_text())
+        except FileNotFoundError:  # ended meanwhile
+            continue
+    return lines
