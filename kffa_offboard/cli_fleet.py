@@ -91,6 +91,7 @@ class Fleet:
             session.close(reason(result))
             self.status = report(self._shared.console, result, member.vehicle, self._options) or self.status
         except UserError as error:
+            session.close(str(error))
             self._fail(name, error)
         except Exception as error:
             traceback.print_exc()

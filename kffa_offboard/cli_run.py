@@ -72,6 +72,9 @@ def run_one(config: DaemonConfig, options: RunOptions) -> int:
             prepare(realtime, shared)
             try:
                 result = _drive(vehicle, options, shared, stop)
+            except UserError as error:
+                vehicle.session.close(str(error))
+                raise
             finally:
                 shared.manager.stopping()
             vehicle.session.close(reason(result))

@@ -135,3 +135,16 @@ def test_real_time_that_is_required_and_not_permitted_is_said_before_flying(monk
     log = ("--link", "udpin:127.0.0.1:0", "--log", str(tmp_path / "flight.tlog"))
     said = said_by(capsys, "--realtime", *log)
     assert said == f"error: {refusal}; or set realtime.required = false"
+
+
+def test_the_log_of_a_run_without_a_vehicle_is_a_whole_one(tmp_path, capsys):
+    config, log = tmp_path / "short.toml", tmp_path / "nobody.tlog"
+    text = bundled("px4-udp.toml").read_text().replace("[telemetry]", "[telemetry]\nconnect_timeout_s = 0.1")
+    config.write_text(text)
+    with pytest.raises(SystemExit) as ended:
+        cli.main(["run", "--config", str(config), "--log", str(log), "--link", "udpin:127.0.0.1:0"])
+    assert ended.value.code == 2
+    with pytest.raises(SystemExit) as replayed:
+        cli.main(["replay", str(log)])
+    assert replayed.value.code == 0
+    assert "breaks off" not in capsys.readouterr().out
