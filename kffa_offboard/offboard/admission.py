@@ -142,15 +142,20 @@ def outside_fence(limits: LimitSettings, known: Telemetry, centre: tuple[float, 
 
 
 def grounded(settings: ServiceSettings, known: Telemetry, time_us: int) -> bool | None:
-    """Is the vehicle on the ground? None if that cannot be told: then there is no engaging."""
-    if known.heartbeat is None:
+    """Is the vehicle on the ground? None if that cannot be told: then there is no engaging.
+
+    Without a landed state little thrust alone does not tell: a vehicle that falls has it, too.
+    """
+    if known.heartbeat is None or known.position is None:
         return None
     if not known.heartbeat.armed:
         return True
     thrust = telemetry.reported_thrust(settings.telemetry, known, time_us)
     little = settings.flight.touchdown_thrust_fraction * settings.hover_thrust
-    if known.on_ground is None:
-        return None if thrust is None else thrust < little
-    if known.on_ground and thrust is not None and thrust >= little:
+    on_ground = telemetry.reported_landed(settings.telemetry, known, time_us)
+    if on_ground is None and thrust is not None:
+        moves = abs(known.position.velocity[2]) >= settings.flight.touchdown_climb_rate_m_s
+        return False if thrust >= little else None if moves else True
+    if on_ground and thrust is not None and thrust >= little:
         return None
-    return known.on_ground
+    return on_ground

@@ -208,7 +208,7 @@ class Service(ControlSession):
             case events.ThrottleReported():
                 self._known = telemetry.receive_throttle(self._known, time_us, event)
             case events.LandedStateReported():
-                self._known = telemetry.receive_landed(self._known, event)
+                self._known = telemetry.receive_landed(self._known, time_us, event)
             case events.CommandAnswered():
                 self._on_answer(time_us, event)
             case events.EngageRequested():

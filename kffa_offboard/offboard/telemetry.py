@@ -62,6 +62,7 @@ class Telemetry(NamedTuple):
     throttle: float | None = None
     throttle_us: int = 0
     on_ground: bool | None = None
+    landed_us: int = 0
     steady_since_us: int | None = None
     invalid: int = 0
 
@@ -191,9 +192,9 @@ def forget_heartbeat(known: Telemetry) -> Telemetry:
     return known._replace(heartbeat=None, armed_since_us=None)
 
 
-def receive_landed(known: Telemetry, event: LandedStateReported) -> Telemetry:
+def receive_landed(known: Telemetry, time_us: int, event: LandedStateReported) -> Telemetry:
     """Take in the landed state."""
-    return known._replace(on_ground=event.on_ground)
+    return known._replace(on_ground=event.on_ground, landed_us=time_us)
 
 
 def receive_heartbeat(known: Telemetry, time_us: int, event: HeartbeatReceived) -> Telemetry:
@@ -236,6 +237,12 @@ def reported_thrust(settings: TelemetrySettings, known: Telemetry, time_us: int)
         return target.thrust
     fresh = time_us - known.throttle_us <= microseconds(settings.report_timeout_s)
     return known.throttle if fresh else None
+
+
+def reported_landed(settings: TelemetrySettings, known: Telemetry, time_us: int) -> bool | None:
+    """The autopilot's landed state, unless it is older than a heartbeat may be."""
+    fresh = time_us - known.landed_us <= microseconds(settings.heartbeat_timeout_s)
+    return known.on_ground if fresh else None
 
 
 def not_ready(settings: TelemetrySettings, known: Telemetry, time_us: int) -> str | None:

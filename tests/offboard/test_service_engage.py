@@ -258,6 +258,33 @@ def test_a_landed_state_that_the_thrust_contradicts_does_not_engage(fake):
     assert flight.texts[-1] == "not engaged: cannot tell whether it flies"
 
 
+def test_an_old_landed_state_does_not_tell_that_a_vehicle_stands(fake):
+    """All that tells of the ground is lost; then the pilot takes off, and zero thrust would be a fall."""
+    vehicle = fake.Vehicle(mode=ModeKind.HOLD, armed=True, armed_us=-10_000_000)
+    flight = fake.Lockstep(fake.settings(engage=False), vehicle).run_to(State.READY)
+    vehicle.reports_landed = vehicle.reports_target = False
+    vehicle.own_thrust = 1.05 * fake.hover
+    flight.run(3.2)
+    vehicle.own_thrust = None
+    flight.run(1.0)
+    assert vehicle.position > 2.0
+    flight.give(events.EngageRequested())
+    assert flight.texts[-1] == "not engaged: cannot tell whether it flies"
+
+
+def test_a_vehicle_that_falls_with_little_thrust_is_not_on_the_ground(fake):
+    vehicle = fake.airborne(position=20.0, reports_landed=False)
+    flight = fake.Lockstep(fake.settings(engage=False), vehicle).run_to(State.READY)
+    vehicle.own_thrust = 0.4 * fake.hover
+    flight.run(0.2)
+    flight.give(events.EngageRequested())
+    assert flight.texts[-1] == "not engaged: cannot tell whether it flies"
+    vehicle.own_thrust = None
+    flight.run(3.0)
+    flight.give(events.EngageRequested())
+    assert flight.texts[-1] == "engaging in the air"
+
+
 # ------------------------------------------------------------------- engaging in the air
 
 
