@@ -205,9 +205,14 @@ def receive_heartbeat(known: Telemetry, time_us: int, event: HeartbeatReceived) 
     )
 
 
+def _is_thrust(value: float) -> bool:
+    """Normalised; NaN is none."""
+    return 0.0 <= value <= 1.0
+
+
 def receive_target(known: Telemetry, time_us: int, event: TargetReported) -> Telemetry:
-    """Take in what the autopilot commands; parts that are not finite are not to be trusted."""
-    thrust = event.thrust if event.thrust is not None and isfinite(event.thrust) else None
+    """Take in what the autopilot commands; parts that are not finite, or no thrust, are not to be trusted."""
+    thrust = event.thrust if event.thrust is not None and _is_thrust(event.thrust) else None
     rates = (
         event.body_rates if event.body_rates is not None and all(map(isfinite, event.body_rates)) else None
     )
@@ -218,8 +223,8 @@ def receive_target(known: Telemetry, time_us: int, event: TargetReported) -> Tel
 
 
 def receive_throttle(known: Telemetry, time_us: int, event: ThrottleReported) -> Telemetry:
-    """Take in the throttle; one that is not finite is counted and ignored."""
-    if not isfinite(event.throttle):
+    """Take in the throttle; one that cannot be is counted and ignored."""
+    if not _is_thrust(event.throttle):
         return known._replace(invalid=known.invalid + 1)
     return known._replace(throttle=event.throttle, throttle_us=time_us)
 

@@ -320,6 +320,19 @@ def test_the_first_thrust_is_the_autopilots_even_if_the_observer_thinks_otherwis
     assert flight.vehicle.position == pytest.approx(reference, abs=0.005)
 
 
+@pytest.mark.parametrize("reported", [40.0, 1.5, -1.0])
+def test_a_reported_thrust_that_is_none_does_not_move_the_vehicle(fake, reported):
+    """A throttle in percent, say: taken for thrust, it engaged with 0.95 and climbed to the limits."""
+    flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),)), fake.airborne())
+    flight.change = lambda event: (
+        event._replace(thrust=reported) if isinstance(event, events.TargetReported) else event
+    )
+    flight.run_to(State.ENGAGED)
+    flight.run(3.0)
+    thrusts = [target.thrust for _, target in flight.sent(AttitudeTarget)]
+    np.testing.assert_allclose(thrusts, fake.hover, rtol=0.02)
+
+
 def test_a_difference_in_thrust_at_the_change_of_mode_fades(fake):
     vehicle = fake.airborne(reports_target=False)
     flight = fake.Lockstep(fake.settings(scenario=(), engage=False), vehicle).run_to(State.READY)

@@ -77,6 +77,13 @@ def test_an_impossible_change_of_altitude_is_a_fault():
     assert jump.fault == "altitude jumped 0.65 m, 0.60 possible"
 
 
+@pytest.mark.parametrize("bad", [-0.1, 1.1, 40.0])
+def test_a_thrust_beyond_0_to_1_is_none(bad):
+    known = telemetry.receive_target(Telemetry(), 0, TargetReported(0, bad, None, None))
+    known = telemetry.receive_throttle(known, 0, ThrottleReported(bad))
+    assert (known.target.thrust, known.throttle, known.invalid) == (None, None, 2)
+
+
 @pytest.mark.parametrize("bad", [nan, inf, -inf])
 def test_numbers_that_are_not_finite_are_faults_and_never_kept(bad):
     known, sample = take_attitude(Telemetry(), 0, AttitudeReceived(0, (0.0, 0.0, 0.0), (0.0, bad, 0.0)))
