@@ -344,9 +344,12 @@ class Session:
             return
         timing = self.settings.sequence
         request, outcome = self._retry.request, self._outcome
+        # Whoever accepted it: the heartbeats since then have not shown it.
+        contradicted = sequence.contradicted(timing, self._retry, self._known.heartbeat_us)
+        accepted = self._retry.accepted_us is not None and not contradicted
         if self._lands_to_disarm:
             self._finish(REFUSED)
-        elif self.state is State.FAILSAFE or self._retry.accepted_us is not None:
+        elif self.state is State.FAILSAFE or accepted:
             self._finish(outcome)
         elif isinstance(request, SetArmed):
             self._say(Severity.CRITICAL, "still armed on the ground: keep away")

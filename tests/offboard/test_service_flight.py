@@ -178,6 +178,16 @@ def test_a_vehicle_that_cannot_be_disarmed_is_left_in_land_mode_with_a_warning(f
     assert flight.vehicle.mode is ModeKind.LAND
 
 
+def test_disarming_that_was_accepted_and_does_not_show_is_no_normal_end(fake):
+    """The answer to an arming request that comes late, for instance, or somebody who arms again."""
+    flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
+    flight.vehicle.set_armed = lambda time_us, armed: flight.vehicle.answer("disarm", True)
+    flight.give(events.ReleaseRequested("by hand"))
+    flight.run(30.0, lambda: flight.service.finished is not None)
+    assert "still armed on the ground: keep away" in flight.texts
+    assert flight.service.finished == Finished(False, "disarming was refused")
+
+
 def land_after_refusal(fake):
     """A landing whose disarming is refused, up to LAND mode."""
     flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
@@ -287,6 +297,16 @@ def test_a_release_that_nobody_confirms_is_asked_every_half_second_and_ends_afte
     assert asked == pytest.approx([0.0, 0.5, 1.0, 1.5])
     last = (flight.sent(AttitudeTarget)[-1][0] - start) * 1e-6
     assert last == pytest.approx(2.0, abs=0.011)
+    assert flight.service.finished == Finished(False, "HOLD not confirmed; setpoints stopped")
+
+
+def test_a_release_that_was_accepted_and_does_not_show_ends_with_a_level_setpoint(fake):
+    """The answer to an earlier mode request that comes late, for instance: nobody has taken over."""
+    flight = in_flight(fake)
+    flight.vehicle.set_mode = lambda mode: flight.vehicle.answer("mode", True)
+    flight.give(events.ReleaseRequested("by hand"))
+    flight.run(3.0)
+    assert flight.sent(AttitudeTarget)[-1][1].attitude == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
     assert flight.service.finished == Finished(False, "HOLD not confirmed; setpoints stopped")
 
 
