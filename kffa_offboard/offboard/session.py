@@ -267,12 +267,18 @@ class Session:
     # ------------------------------------------------------------------------ releasing
 
     def _release(self, time_us: int, reason: str, stay: bool) -> None:
-        """Somebody asks the daemon to give control back."""
+        """Somebody asks the daemon to give control back; it then engages only if asked to.
+
+        To stay at hand does not undo that the end was asked for, or a failsafe.
+        """
         outcome = Finished(True, reason)
-        self._stay = stay
+        self._stay = stay and (self._stay or self.state not in (State.RELEASING, State.FAILSAFE))
         if self.state in IDLE:
             if self.finished is None and not stay:
                 self._finish(outcome)
+            elif self._auto_engage:
+                self._auto_engage = False
+                self._say(Severity.NOTICE, "engages only when asked to")
         elif self.state is State.ENGAGING:
             assert self._engagement is not None
             if self._engagement.grounded:

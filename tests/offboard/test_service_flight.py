@@ -364,6 +364,36 @@ def test_releasing_when_nothing_is_held_finishes_at_once(fake):
     assert flight.texts[-1] == "not engaged: finished; start the daemon again"
 
 
+def test_a_release_before_control_was_taken_leaves_engaging_to_a_request(fake):
+    flight = fake.Lockstep(fake.settings())
+    flight.run(0.3)
+    flight.give(events.ReleaseRequested("commanded", stay=True))
+    flight.run(5.0)
+    assert flight.states == [State.WAITING, State.READY]
+    assert flight.texts == ["engages only when asked to", "ready"]
+    flight.give(events.EngageRequested())
+    flight.run_to(State.ENGAGED)
+
+
+def test_a_release_that_stays_at_hand_keeps_no_failsafe_from_ending_the_run(fake):
+    flight = in_flight(fake, failsafe_action="hold")
+    flight.vehicle.grants_mode = flight.vehicle.answers = False
+    flight.mute = {events.AttitudeReceived}
+    flight.run(5.0, lambda: flight.service.state is State.FAILSAFE)
+    flight.give(events.ReleaseRequested("commanded", stay=True))
+    flight.run(3.0)
+    assert flight.service.finished == Finished(False, "failsafe: no attitude for 0.25 s")
+
+
+def test_a_release_that_stays_at_hand_does_not_undo_a_stop(fake):
+    flight = in_flight(fake)
+    flight.vehicle.grants_mode = False
+    flight.give(events.ReleaseRequested("stop requested"))
+    flight.give(events.ReleaseRequested("commanded", stay=True))
+    flight.run(3.0)
+    assert flight.service.finished is not None
+
+
 def test_a_setpoint_leaves_before_what_only_the_log_and_people_want(fake):
     flight = fake.Lockstep(fake.settings(), fake.airborne()).run_to(State.ENGAGED)
     flight.run(0.5)
