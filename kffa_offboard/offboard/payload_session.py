@@ -66,19 +66,35 @@ class PayloadSession(Session):
 
     def _gripper_requested(self, time_us: int, action: GripperAction) -> None:
         """Somebody else wants the gripper worked; that needs an autopilot, not control of it."""
-        if self.settings.shadow or self._known.heartbeat is None:
-            why = "shadow mode" if self.settings.shadow else "no heartbeat"
+        why = self._gripper_refusal(action)
+        if why is not None:
             self._say(Severity.WARNING, f"gripper not worked: {why}")
             self._emit(events.RequestRefused(why, self.settings.shadow))
         else:
             half_a_period_s = 0.5 / self.settings.telemetry.attitude_hz
             self._work_gripper(time_us, action, half_a_period_s)
 
+    def _gripper_refusal(self, action: GripperAction) -> str | None:
+        """Why the gripper is not worked for somebody else."""
+        if self.settings.shadow:
+            return "shadow mode"
+        if self._known.heartbeat is None:
+            return "no heartbeat"
+        return "a release is under way" if action == "release" and self._release_is_out else None
+
+    @property
+    def _release_is_out(self) -> bool:
+        """The gripper has the command of a planned release, whose outcome is open."""
+        return self._release_plan is not None and self._release_plan.gripper_us is None
+
     def _work_gripper(self, time_us: int, action: GripperAction, period_s: float) -> None:
-        """Work the gripper; a known load leaves with its thrust. The next step is `period_s` away."""
-        if self._release_plan is not None and self._release_plan.gripper_us is not None:
-            if action == "release":
-                return  # it is about to be
+        """Work the gripper; a known load leaves with its thrust. The next step is `period_s` away.
+
+        A load that is being released is not released again: its thrust can be taken away only once.
+        """
+        if self._release_plan is not None and action == "release":
+            return
+        if self._release_plan is not None and not self._release_is_out:
             self._call_off_release(time_us)
         plan = self._plan_release(period_s) if action == "release" else None
         if plan is None or self._loop is None or self._awareness is None:
@@ -123,7 +139,7 @@ class PayloadSession(Session):
                 self._gripper_us = time_us + microseconds(self.settings.sequence.gripper_timeout_s)
             return
         self._gripper_us = None
-        if not event.accepted and self._release_plan is not None and self._release_plan.gripper_us is None:
+        if not event.accepted and self._release_is_out:
             self._call_off_release(time_us)
 
     def _call_off_release(self, time_us: int) -> None:

@@ -260,6 +260,22 @@ def test_asking_twice_releases_once(fake):
     assert said(flight)[1:] == ["dropped 5.0 kg"]
 
 
+@pytest.mark.parametrize("again_s", [0.1, 0.3, 0.38, 0.42])
+def test_asking_again_while_the_gripper_opens_moves_neither_the_moment_nor_the_vehicle(fake, again_s):
+    """The thrust stepped a second time, or at another moment than the load's: 4 cm up and 3 cm down."""
+    flight = release_works(hovering(fake, weight=LOADED, gripper_open_s=0.4), 0.4)
+    flight.give(events.GripperRequested("release"))
+    assert excursion(flight, again_s) <= 0.003
+    flight.give(events.GripperRequested("release"))
+    assert flight.texts[-1] == "gripper not worked: a release is under way"
+    assert not flight.sent(events.RequestRefused)[-1][1].final
+    assert excursion(flight, 3.0) <= 0.003
+    assert len(flight.sent(SetGripper)) == 1
+    assert "dropped 5.0 kg" in said(flight)
+    flight.give(events.GripperRequested("release"))
+    assert len(flight.sent(SetGripper)) == 2, "its outcome is known: it may be asked for again"
+
+
 def lagging(fake):
     """Motors that lag 0.2 s, so that the gripper's command waits that long."""
     made = settings(fake)
