@@ -138,6 +138,9 @@ class ParameterKeeper:
             self._begin_reading()
         elif silent and self._phase is _Phase.WATCHING:
             self._begin_reading()
+        elif heartbeat.armed and self._phase is _Phase.SETTING:
+            self._warn("armed: parameters are not set any further")
+            self._transfer.cancel()
         self.advance(time_us)
 
     def receive(self, time_us: int, message: Message) -> None:

@@ -247,6 +247,20 @@ def test_nothing_is_set_while_armed(bench):
     assert "armed: parameters stay" in vehicle.texts[0]
 
 
+def test_a_vehicle_that_is_armed_meanwhile_is_set_no_further(bench, file):
+    vehicle = bench(fix=True, obeys=False)
+    vehicle.heartbeat()
+    while not vehicle.sets:
+        vehicle.run(0.05)
+    vehicle.armed = True
+    vehicle.heartbeat()
+    vehicle.run(5.0)
+    assert len(vehicle.sets) == 3
+    assert "armed: parameters are not set any further" in vehicle.texts
+    assert vehicle.checked[-1].complete and vehicle.problems() == ["GUID_OPTIONS"]
+    assert "GUID_OPTIONS" in file.text(), "what was asked for may still be obeyed"
+
+
 def test_without_the_request_and_in_shadow_nothing_is_set(bench, file):
     file.save("ardupilot", (ChangedParameter("GUID_OPTIONS", 0.0, 8.0),))
     vehicle = bench(FIXED, shadow=True)
