@@ -18,6 +18,9 @@ from kffa_offboard.offboard.segments import External
 from kffa_offboard.offboard.state import SENDING, State
 from kffa_offboard.offboard.tuning import adopt
 
+MOST_REASONS = 20
+"""So many reasons for not following setpoints are said in one engagement: a stream has ever new ones."""
+
 
 class RequestSession(PayloadSession):
     """The part of the service that answers requests; use `service.Service`."""
@@ -92,7 +95,7 @@ class RequestSession(PayloadSession):
             ground, centre = self._flight.scenario.ground, self._centre or (0.0, 0.0)
             refusal = external.refusal(self.settings, setpoint, ground, centre)
         if refusal is not None:
-            self._say_once(Severity.WARNING, f"setpoint not followed: {refusal}")
+            self._say_not_followed(refusal)
             return
         assert self._flight is not None
         if isinstance(setpoint, AttitudeSetpoint):
@@ -103,6 +106,11 @@ class RequestSession(PayloadSession):
         here = (x, y, scenario.hold_altitude)
         flight = self.settings.flight
         self._external = external.go_to(flight, self._external, setpoint, here, time_us)
+
+    def _say_not_followed(self, reason: str) -> None:
+        begins = "setpoint not followed: "
+        if sum(text.startswith(begins) for text in self._said) < MOST_REASONS:
+            self._say_once(Severity.WARNING, begins + reason)
 
     @property
     def _captured(self) -> tuple[float, float]:

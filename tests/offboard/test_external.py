@@ -8,7 +8,8 @@ import pytest
 from kffa_offboard.offboard import external
 from kffa_offboard.offboard.events import AttitudeSetpoint, PositionSetpoint
 from kffa_offboard.offboard.reference import ScenarioState
-from kffa_offboard.offboard.segments import Move
+from kffa_offboard.offboard.segments import External, Move
+from kffa_offboard.offboard.service import State
 from kffa_offboard.offboard.settings import FlightSettings
 
 FLIGHT = FlightSettings()
@@ -67,3 +68,13 @@ def test_an_attitude_lasts_half_a_second():
     state = external.lean(None, AttitudeSetpoint((0.1, 0.0, 0.3)), 0)
     assert not external.expired(FLIGHT, state, 500_000)
     assert external.expired(FLIGHT, state, 500_001)
+
+
+def test_a_stream_of_setpoints_that_cannot_be_flown_does_not_become_one_of_texts(fake):
+    """Each names another height; a serial line would have had no room left for setpoints of our own."""
+    flight = fake.Lockstep(fake.settings(scenario=(External(100.0),)), fake.airborne()).run_to(State.ENGAGED)
+    flight.log.clear()
+    for height in range(60, 560):
+        flight.give(PositionSetpoint((None, None, float(height))))
+    assert len(flight.texts) == 20
+    assert flight.texts[0] == "setpoint not followed: altitude 60 m is outside -3 .. 50"
