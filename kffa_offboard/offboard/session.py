@@ -407,8 +407,8 @@ class Session:
         if flight is not None and flight.phase is Phase.GROUND:
             armed_here = engagement.arm_asked if engagement is not None else self._armed_here
             return SetArmed(False) if armed_here else None
-        if engagement is not None and engagement.phase is EngagePhase.STREAM:
-            return None
+        if engagement is not None and not sequence.mode_granted(engagement):
+            return None  # it is not ours to bring down: the pilot's, or the autopilot's own failsafe's
         action = self.settings.failsafe_action
         if action == "stop":
             return None

@@ -294,6 +294,22 @@ def test_a_failsafe_before_control_was_asked_for_asks_for_no_mode(fake):
     assert not flight.sent(SetMode)
 
 
+@pytest.mark.parametrize("answers", [True, False])
+def test_a_failsafe_before_control_was_granted_leaves_the_pilot_the_vehicle(fake, answers):
+    """OFFBOARD is refused, or not answered, again and again; then telemetry is lost."""
+    vehicle = fake.airborne(grants_mode=False, answers=answers)
+    flight = fake.Lockstep(fake.settings(failsafe_action="land"), vehicle).run_to(State.ENGAGING)
+    flight.run(1.5)
+    assert {sent.mode for _, sent in flight.sent(SetMode)} == {ModeKind.OFFBOARD}
+    flight.vehicle.grants_mode = True
+    flight.mute = {events.AttitudeReceived}
+    flight.log.clear()
+    flight.run(0.26)
+    assert flight.service.state is State.FAILSAFE
+    assert not flight.sent(SetMode)
+    assert_silent(flight)
+
+
 def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeypatch):
     flight = hovering(fake)
     honest = controllers.step
