@@ -277,6 +277,10 @@ class Service(ControlSession):
             self._engage(time_us)
 
     def _check_limits(self, time_us: int) -> None:
+        if self._engagement is not None and self._engagement.grounded:
+            grounded = self._grounded(time_us)
+            if grounded is not None and not grounded:
+                self._take_over("it flies")  # our zero thrust would be a fall
         if self.state in SENDING and self._flight is not None:
             ground = self._flight.scenario.ground
             outside = telemetry.outside_limits(self.settings.limits, self._known, ground)

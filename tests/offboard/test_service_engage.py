@@ -272,6 +272,20 @@ def test_an_old_landed_state_does_not_tell_that_a_vehicle_stands(fake):
     assert flight.texts[-1] == "not engaged: cannot tell whether it flies"
 
 
+@pytest.mark.parametrize("reports_landed", [True, False])
+def test_a_pilot_who_takes_off_before_the_mode_is_granted_does_not_get_zero_thrust(fake, reports_landed):
+    vehicle = fake.Vehicle(mode=ModeKind.HOLD, grants_mode=False, reports_landed=reports_landed)
+    flight = fake.Lockstep(fake.settings(arm=False), vehicle).run_to(State.ENGAGING)
+    vehicle.armed, vehicle.armed_us = True, -10_000_000
+    vehicle.own_thrust = 1.1 * fake.hover
+    flight.run(2.0)
+    vehicle.grants_mode = True
+    flight.run(2.0)
+    assert "control given up: it flies" in flight.texts
+    assert flight.service.state is State.READY
+    assert vehicle.mode is ModeKind.HOLD and vehicle.position > 2.0
+
+
 def test_a_vehicle_that_falls_with_little_thrust_is_not_on_the_ground(fake):
     vehicle = fake.airborne(position=20.0, reports_landed=False)
     flight = fake.Lockstep(fake.settings(engage=False), vehicle).run_to(State.READY)
