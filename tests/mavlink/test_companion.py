@@ -165,6 +165,16 @@ def test_a_repeated_command_is_answered_again_but_a_new_one_is_done(talk):
     assert [message.param2 for message in grippers] == [0.0, 1.0, 0.0]
 
 
+def test_a_repetition_is_known_by_parameters_that_are_not_used_too(talk):
+    """MAVSDK and others fill them with NaN, which is not equal to itself."""
+    release = (mavlink.MAV_CMD_DO_GRIPPER, 1.0, 0.0, *[math.nan] * 5)
+    for count in range(3):
+        talk.hear(talk.ground, command(*release, again=count))
+    assert [answer.result for answer in talk.sent("COMMAND_ACK")] == [mavlink.MAV_RESULT_ACCEPTED] * 3
+    passed_on = [each for each in talk.sent("COMMAND_LONG") if each.command == mavlink.MAV_CMD_DO_GRIPPER]
+    assert len(passed_on) == 1
+
+
 def test_command_int_is_understood_too(talk):
     version = mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION
     asked = (245, 191, 0, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, 0, version, 0, 0, 0, 0, 0, 0)
