@@ -19,9 +19,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.offboard.events import (
     EngageRequested,
+    GiveUpRequested,
     IntrusionNoticed,
     ProcessReport,
-    PutBackRequested,
     ReleaseRequested,
     StepTiming,
     Trouble,
@@ -38,7 +38,7 @@ _PAYLOAD_SIZE = 128
 _TEXT_SIZE = _PAYLOAD_SIZE - _CHUNK.size
 
 NoteKind: TypeAlias = Literal["header", "request", "report", "end"]
-Request: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | PutBackRequested
+Request: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | GiveUpRequested
 
 
 @dataclass(frozen=True)
@@ -135,8 +135,8 @@ def _document(note: Note) -> dict[str, Any]:
             return {"note": "request", "what": "engage"}
         case ReleaseRequested(reason):
             return {"note": "request", "what": "release", "reason": reason}
-        case PutBackRequested():
-            return {"note": "request", "what": "put back"}
+        case GiveUpRequested():
+            return {"note": "request", "what": "give up"}
         case IntrusionNoticed(text, consequence):
             return {"note": "request", "what": "intrusion", "text": text, "consequence": consequence}
         case StepTiming():
@@ -165,8 +165,8 @@ def _note(document: dict[str, Any]) -> Note:
             return EngageRequested()
         case {"note": "request", "what": "release", "reason": str(reason)}:
             return ReleaseRequested(reason)
-        case {"note": "request", "what": "put back"}:
-            return PutBackRequested()
+        case {"note": "request", "what": "give up"}:
+            return GiveUpRequested()
         case {"note": "request", "what": "intrusion", **fields}:
             return _checked(IntrusionNoticed, fields)
         case {"note": "report", "what": "timing", **fields}:

@@ -28,11 +28,11 @@ from kffa_offboard.offboard.events import (
     AttitudeTarget,
     EngageRequested,
     Event,
+    GiveUpRequested,
     HeartbeatReceived,
     IntrusionNoticed,
     Output,
     ProcessReport,
-    PutBackRequested,
     ReleaseRequested,
     Signals,
 )
@@ -43,7 +43,7 @@ Observer: TypeAlias = Callable[[int, Event | Output | ProcessReport], None]
 """Is told every event before and every output after the service, with its time [us]; for status lines."""
 
 
-ProcessRequest: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | PutBackRequested
+ProcessRequest: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | GiveUpRequested
 """What comes in no MAVLink message, but from the daemon's own process or its link."""
 
 
@@ -140,6 +140,7 @@ class Session:
         self.counters = Counters()
         self.connected = False
         self.refusal: str | None = None
+        self._given_up = False
         self._time_us: int | None = None
         self._component = Component(route)
         self._vehicle = Vehicle(route, guided_mode)
@@ -269,13 +270,12 @@ class Session:
         return () if self._parameters is None else self._parameters.changes
 
     def request(self, time_us: int, request: ProcessRequest) -> None:
-        """Do what the daemon's own process asks for, or tell the service of it, and record it."""
+        """Tell the service what the daemon's own process asks for or noticed, and record it."""
         self.advance(time_us)
         if self._recorder is not None:
             self._recorder.write_request(time_us, request)
-        if not isinstance(request, PutBackRequested):
-            self.tell(time_us, request)
-        elif self._parameters is not None:
+        self.tell(time_us, request)
+        if isinstance(request, GiveUpRequested) and self._parameters is not None:
             self._due_known = False
             self._parameters.finish(time_us)
             self._follow_parameters(time_us)
@@ -290,13 +290,12 @@ class Session:
         self._companion.report(time_us, report)
         self._reply(time_us)
 
-    def put_back(self, time_us: int) -> bool:
-        """Begin to put the vehicle's parameters back, whatever the service does; True when that is over."""
-        if self._parameters is None or self._parameters.done:
-            return True
-        if not self._parameters.finishing:
-            self.request(time_us, PutBackRequested())
-        return self._parameters.done
+    def give_up(self, time_us: int) -> bool:
+        """Wait for the service no longer, whatever it does; True when the parameters are put back."""
+        if not (self.done or self._given_up):
+            self._given_up = True
+            self.request(time_us, GiveUpRequested())
+        return self._parameters is None or self._parameters.done
 
     def close(self, reason: str) -> None:
         """Record that the run is over."""

@@ -31,7 +31,7 @@ LONGEST_SLEEP_S = 0.1
 """How late a stop request may be noticed."""
 
 RELEASE_LIMIT_S = 3.0
-"""How long the service may take to let go after a stop request."""
+"""How long the service may take to let go after a stop request; then it is told to give up."""
 
 HELLO_PERIOD_S = 1.0
 
@@ -125,7 +125,7 @@ class RealTimeLoop:
             self._let_go_by_us = now_us + round(RELEASE_LIMIT_S * 1e6) if session.connected else now_us
             session.request(now_us, ReleaseRequested("stop requested"))
             return self.goes_on()
-        if self._let_go_by_us is not None and now_us >= self._let_go_by_us and session.put_back(now_us):
+        if self._let_go_by_us is not None and now_us >= self._let_go_by_us and session.give_up(now_us):
             return False
         if not session.connected and now_us - self._started_us >= self._connect_timeout_s * 1e6:
             raise no_vehicle(session, self._connect_timeout_s)
@@ -287,7 +287,7 @@ class _LockStep:
             session.request(time_us, ReleaseRequested("stop requested"))
         pass_barrier(session, time_us, request)
         overdue = self._let_go_by_us is not None and time_us >= self._let_go_by_us
-        self.ended = session.done or (overdue and session.put_back(time_us))
+        self.ended = session.done or (overdue and session.give_up(time_us))
 
 
 def no_vehicle(session: Session, timeout_s: float) -> UserError:

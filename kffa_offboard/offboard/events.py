@@ -181,8 +181,8 @@ class IntrusionNoticed:
 
 
 @dataclass(frozen=True, slots=True)
-class PutBackRequested:
-    """The run ends without waiting longer for the service: put the vehicle's parameters back."""
+class GiveUpRequested:
+    """The run ends without waiting longer: last words, and the vehicle's parameters are put back."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,6 +220,7 @@ Event: TypeAlias = (
     | SettingsChanged
     | LinkMeasured
     | IntrusionNoticed
+    | GiveUpRequested
     | PositionSetpoint
     | AttitudeSetpoint
 )

@@ -215,6 +215,8 @@ class Service(ControlSession):
                 self._engage(time_us)
             case events.ReleaseRequested():
                 self._release(time_us, event.reason, event.stay)
+            case events.GiveUpRequested():
+                self._give_up(time_us)
             case events.StatusReceived():
                 pass  # the log has it
             case _:

@@ -346,8 +346,12 @@ class Session:
         assert self._retry is not None
         self._retry, outputs, expired = sequence.run_retry(self._retry, time_us)
         self._emit(*outputs)
-        if not expired:
-            return
+        if expired:
+            self._release_expired(time_us)
+
+    def _release_expired(self, time_us: int) -> None:
+        """The request has had its time."""
+        assert self._retry is not None
         timing = self.settings.sequence
         request, outcome = self._retry.request, self._outcome
         # Whoever accepted it: the heartbeats since then have not shown it.
@@ -366,6 +370,16 @@ class Session:
             reason = f"{request.mode.name} not confirmed; setpoints stopped"
             self._say_farewell()
             self._finish(Finished(False, reason))
+
+    def _give_up(self, time_us: int) -> None:
+        """There is no more time for releasing: what would be said at its end is said now."""
+        if self.finished is None and self.state is State.ENGAGED:
+            self._say_farewell()
+            self._release_on_ground(time_us, self._outcome)  # only a thrust ramp outlasts the release
+        if self.finished is None and self._retry is not None:
+            self._release_expired(time_us)
+        if self.finished is None:
+            self._finish(REFUSED if self.state is State.RELEASING else self._outcome)
 
     # ------------------------------------------------------------------------- failsafe
 

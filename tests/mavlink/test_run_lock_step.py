@@ -16,6 +16,7 @@ from kffa_offboard.mavlink.transport import Datagram
 from kffa_offboard.offboard.events import (
     AttitudeReceived,
     AttitudeTarget,
+    GiveUpRequested,
     HeartbeatReceived,
     OwnHeartbeat,
     ReleaseRequested,
@@ -237,7 +238,7 @@ def test_a_stop_request_is_told_at_the_next_barrier_and_runs_three_simulated_sec
     service = FakeService(slots=10**6)
     result = run(service, link, wall_clock, stop=stop, observer=lambda time_us, item: stop.set())
     assert (1_000_000, ReleaseRequested) in service.calls
-    assert service.calls[-1] == (3_995_000, "advance")
+    assert service.calls[-2:] == [(3_995_000, "advance"), (4_000_000, GiveUpRequested)]
     assert result.stopped
     assert result.finished is None
 

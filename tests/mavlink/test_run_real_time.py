@@ -15,6 +15,7 @@ from kffa_offboard.offboard.events import (
     AttitudeReceived,
     AttitudeTarget,
     EngageRequested,
+    GiveUpRequested,
     HeartbeatReceived,
     OwnHeartbeat,
     ReleaseRequested,
@@ -271,6 +272,8 @@ def test_a_service_that_cannot_let_go_holds_the_loop_for_three_seconds_at_most(b
     service = FakeService(finish_us=10**12, release_takes_us=10**11)
     result = run(service, link, stop=stop, observer=stop_at(START_US, stop))
     assert result.finished is None
+    ((told_us, _),) = service.events(GiveUpRequested)
+    assert told_us == pytest.approx(START_US + 3_000_000, abs=200_000)
     assert 3_000_000 <= link.now_us - START_US <= 3_200_000
 
 

@@ -8,6 +8,7 @@ from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, SetArmed, Se
 from kffa_offboard.offboard.flight import FlightSample, Phase, begin_flight, step_flight
 from kffa_offboard.offboard.segments import Gripper, Hold, Land, Sine, Step, Takeoff
 from kffa_offboard.offboard.service import Finished, State
+from kffa_offboard.offboard.settings import FlightSettings, SequenceSettings
 
 HOLD = SetMode(ModeKind.HOLD)
 LAND = SetMode(ModeKind.LAND)
@@ -308,6 +309,36 @@ def test_a_release_that_was_accepted_and_does_not_show_ends_with_a_level_setpoin
     flight.run(3.0)
     assert flight.sent(AttitudeTarget)[-1][1].attitude == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
     assert flight.service.finished == Finished(False, "HOLD not confirmed; setpoints stopped")
+
+
+def test_told_to_give_up_it_leaves_a_level_setpoint(fake):
+    patient = SequenceSettings(hold_timeout_s=5.0)
+    swinging = fake.airborne(position=2.0, attitude=np.array([0.15, 0.0, 0.0]))
+    settings = fake.settings(scenario=(Hold(100.0),), sequence=patient)
+    flight = fake.Lockstep(settings, swinging).run_to(State.ENGAGED)
+    flight.vehicle.grants_mode = False
+    flight.give(events.ReleaseRequested("stop requested"))
+    flight.run(0.2)
+    assert flight.sent(AttitudeTarget)[-1][1].body_rates is not None
+    flight.give(events.GiveUpRequested())
+    assert flight.sent(AttitudeTarget)[-1][1].attitude == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
+    assert flight.service.finished == Finished(False, "HOLD not confirmed; setpoints stopped")
+
+
+@pytest.mark.parametrize("thrust", [0.0, 0.2])
+def test_told_to_give_up_on_the_ground_it_warns_and_asks_for_land_mode(fake, thrust):
+    """Before the thrust ramp, and while it is taken back, which may be told to take 10 s."""
+    slowly = FlightSettings(touchdown_ramp_s=10.0)
+    flight = fake.Lockstep(fake.settings(flight=slowly)).run_to(State.ENGAGED)
+    flight.run(3.0, lambda: thrusts(flight)[-1] >= thrust)
+    flight.vehicle.grants_arming = False
+    flight.give(events.ReleaseRequested("stop requested"))
+    flight.run(3.0)
+    flight.give(events.GiveUpRequested())
+    assert "still armed on the ground: keep away" in flight.texts
+    assert flight.sent(SetMode)[-1][1] == LAND
+    assert flight.service.finished == Finished(False, "disarming was refused")
+    assert flight.sent(AttitudeTarget)[-1][1].thrust <= thrust
 
 
 def test_a_scenario_that_ends_in_the_air_is_released_into_hold(fake):

@@ -15,7 +15,7 @@ from kffa_offboard.config_log import config_of
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.tlog import TIMESTAMP, read_tlog
 from kffa_offboard.mavlink.parameter_file import ParameterFile
-from kffa_offboard.offboard.events import PutBackRequested
+from kffa_offboard.offboard.events import GiveUpRequested
 from kffa_offboard.replay.compare import compare, what_if
 from kffa_offboard.replay.engine import replay, replay_what_if
 from kffa_offboard.replay.recording import read_recording
@@ -211,8 +211,11 @@ def test_parameters_that_are_put_back_because_nobody_lets_go_are_in_the_replay(l
     flight.log = tmp_path / "kept.tlog"
     flight.fly(lambda vehicle: vehicle.time_us > 12_000_000)
     recording, again = replayed(flight.log)
-    (asked_us,) = [time_us for time_us, item in recording.incoming if isinstance(item, PutBackRequested)]
+    (asked_us,) = [time_us for time_us, item in recording.incoming if isinstance(item, GiveUpRequested)]
     assert asked_us == pytest.approx(15_000_000, abs=20_000), "3 s after the stop"
+    last_us, last = [(t, m) for t, m in read_tlog(flight.log) if m.get_type() == "SET_ATTITUDE_TARGET"][-1]
+    assert last_us == asked_us
+    assert last.type_mask & mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_ROLL_RATE_IGNORE, "a level attitude"
     assert flight.session.changed_parameters, "they stay while the autopilot follows our setpoints"
     assert compare(recording, again).difference is None
 
