@@ -37,6 +37,8 @@ class Retry:
     next_us, interval_us : next sending, and the time between two
     give_up_us : end of waiting
     accepted_us : when the autopilot accepted it; from then on it is not sent again
+    undoes_open : it undoes a request that may still take effect: until it is accepted, a heartbeat that
+        shows the state before is no proof
     """
 
     request: SetMode | SetArmed
@@ -44,6 +46,7 @@ class Retry:
     interval_us: int
     give_up_us: int
     accepted_us: int | None = None
+    undoes_open: bool = False
 
 
 def begin_retry(request: SetMode | SetArmed, time_us: int, interval_s: float, timeout_s: float) -> Retry:
@@ -67,7 +70,7 @@ def run_retry(retry: Retry, time_us: int) -> tuple[Retry, tuple[Output, ...], bo
 
 def accept_retry(retry: Retry, time_us: int) -> Retry:
     """The autopilot has accepted the request."""
-    return replace(retry, accepted_us=time_us)
+    return replace(retry, accepted_us=time_us, undoes_open=False)
 
 
 def contradicted(settings: SequenceSettings, retry: Retry, time_us: int) -> bool:

@@ -6,6 +6,7 @@ control steps. Everything that changes `state` is here, except waiting -> ready.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import nan
 
 from kffa_offboard.offboard import admission, events, parameters, sequence, telemetry
@@ -27,7 +28,7 @@ from kffa_offboard.offboard.rivals import Rivals, forbids
 from kffa_offboard.offboard.segments import Land, starts_on_ground
 from kffa_offboard.offboard.sequence import Engagement, EngagePhase, EngageStep, Retry, begin_retry
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.state import IDLE, REFUSED, SENDING, Finished, State
+from kffa_offboard.offboard.state import IDLE, REFUSED, SENDING, UNCONFIRMED, Finished, State
 from kffa_offboard.offboard.trust import Trust
 
 
@@ -203,15 +204,22 @@ class Session:
                 elif not offboard or event.custom_mode != self._offboard_mode:
                     self._take_over(f"mode {event.mode_name}")
             case State.RELEASING:
-                if not event.armed:
+                if not event.armed and not self._may_still_arm(event):
                     self._finish(self._outcome)
                 elif not (offboard or (self._lands_to_disarm and event.mode is ModeKind.LAND)):
                     self._finish(REFUSED if self._lands_to_disarm else self._outcome)
             case State.FAILSAFE:
-                if self._retry is not None and (not offboard or not event.armed):
+                ours = self._may_still_arm(event) or event.armed
+                if self._retry is not None and (not offboard or not ours):
                     self._finish(self._outcome)
             case _:
                 pass
+
+    def _may_still_arm(self, heartbeat: events.HeartbeatReceived) -> bool:
+        """The daemon's request to arm is still open; a heartbeat that shows it done settles it."""
+        if self._retry is not None and heartbeat.armed:
+            self._retry = replace(self._retry, undoes_open=False)
+        return self._retry is not None and self._retry.undoes_open
 
     @property
     def _lands_to_disarm(self) -> bool:
@@ -318,6 +326,7 @@ class Session:
             return
         if self._armed_here:
             retry = begin_retry(SetArmed(False), time_us, timing.disarm_retry_s, timing.disarm_timeout_s)
+            retry = replace(retry, undoes_open=self.state is State.ENGAGING)
         else:
             land = SetMode(ModeKind.LAND)
             retry = begin_retry(land, time_us, timing.hold_retry_s, timing.hold_timeout_s)
@@ -359,6 +368,9 @@ class Session:
         accepted = self._retry.accepted_us is not None and not contradicted
         if self._lands_to_disarm:
             self._finish(REFUSED)
+        elif self._retry.undoes_open:
+            self._say(Severity.CRITICAL, "may still arm: keep away")
+            self._finish(outcome if self.state is State.FAILSAFE else UNCONFIRMED)
         elif self.state is State.FAILSAFE or accepted:
             self._finish(outcome)
         elif isinstance(request, SetArmed):
@@ -397,7 +409,7 @@ class Session:
 
     def _failsafe(self, time_us: int, reason: str) -> None:
         """Give up control in the configured way."""
-        request = self._failsafe_request()
+        request, engaging = self._failsafe_request(), self._engagement is not None
         self._say_farewell()
         self._let_go(State.FAILSAFE)
         self._stay = False
@@ -407,7 +419,8 @@ class Session:
             self._finish(self._outcome)
             return
         timing = self.settings.sequence
-        self._retry = begin_retry(request, time_us, timing.hold_retry_s, timing.hold_timeout_s)
+        retry = begin_retry(request, time_us, timing.hold_retry_s, timing.hold_timeout_s)
+        self._retry = replace(retry, undoes_open=engaging and isinstance(request, SetArmed))
         self._run_release(time_us)
 
     def _say_farewell(self) -> None:

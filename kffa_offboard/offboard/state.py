@@ -30,3 +30,4 @@ class Finished:
 
 
 REFUSED = Finished(False, "disarming was refused")
+UNCONFIRMED = Finished(False, "disarming was not confirmed")

@@ -355,6 +355,46 @@ def test_releasing_before_takeoff_disarms(fake):
     assert flight.service.finished == Finished(True, "by hand")
 
 
+@pytest.fixture
+def arming_open(fake):
+    """A flight that has asked to arm; neither that nor disarming shows or is accepted."""
+    flight = fake.Lockstep(fake.settings(), fake.Vehicle(grants_arming=False)).run_to(State.ENGAGING)
+    flight.run(3.0, lambda: flight.sent(SetArmed))
+    flight.run(0.1)
+    return flight
+
+
+def arm_late(flight):
+    """A heartbeat from before, then the open request takes effect."""
+    flight.give(flight.vehicle.heartbeat())
+    flight.vehicle.grants_arming = flight.vehicle.armed = True
+
+
+def test_arming_that_takes_effect_after_the_release_is_undone(arming_open):
+    arming_open.give(events.ReleaseRequested("by hand"))
+    arm_late(arming_open)
+    assert arming_open.service.state is State.RELEASING
+    arming_open.run(2.1)
+    assert not arming_open.vehicle.armed
+    assert arming_open.service.finished == Finished(True, "by hand")
+
+
+def test_arming_that_takes_effect_after_a_failsafe_is_undone(arming_open):
+    arming_open.mute = {events.AttitudeReceived}
+    arming_open.run_to(State.FAILSAFE, 0.3)
+    arm_late(arming_open)
+    arming_open.run(2.1)
+    assert not arming_open.vehicle.armed
+    assert not arming_open.service.finished.successful
+
+
+def test_arming_that_stays_open_is_said_at_the_end(arming_open):
+    arming_open.give(events.ReleaseRequested("by hand"))
+    arming_open.run(11.0)
+    assert "may still arm: keep away" in arming_open.texts
+    assert arming_open.service.finished == Finished(False, "disarming was not confirmed")
+
+
 def test_releasing_in_the_thrust_ramp_takes_thrust_back(fake):
     flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
     flight.run(3.0, lambda: thrusts(flight)[-1] > 0.2)
