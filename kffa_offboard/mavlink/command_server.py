@@ -221,8 +221,7 @@ class CommandServer:
             if action in (READ, RESET):
                 stored = action == READ
                 events = tuple(self._parameters.reset(stored=stored))
-                source = "file" if stored else "configuration"
-                return Answer(ACCEPTED, [Announce(Severity.INFO, f"parameters as in the {source}")], events)
+                return Answer(ACCEPTED, events=events)
         except TuningProblem as error:
             return Answer(FAILED, [Announce(Severity.WARNING, str(error))])
         return _denied(f"PREFLIGHT_STORAGE {action:g}: 0 reads, 1 writes, 2 resets")

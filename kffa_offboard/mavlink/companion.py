@@ -116,6 +116,8 @@ class Companion:
         if isinstance(output, Signals):
             self._replies += self._streams.take(output)
         elif isinstance(output, OwnHeartbeat | RequestRefused):
+            if isinstance(output, RequestRefused):
+                self._parameters.refuse(output.reason)
             refused = self._commands.note(output)
             if refused is not None:
                 self._replies.append(refused)
@@ -129,6 +131,7 @@ class Companion:
 
     def take(self) -> list[Reply]:
         """Replies to be sent now. Call it when the service was told everything that `receive` returned."""
+        self._replies += self._parameters.conclude()
         if self._result is None and not self._replies:
             return []
         if self._result is not None:

@@ -1,11 +1,13 @@
 """The daemon's tuning as MAVLink parameters: listed, read, set while flying.
 
 The parameter protocol with REAL32 values only. What a value may be is decided by the tuning, which is made
-from the configuration; a refused value is answered with the unchanged one and a STATUSTEXT with the reason.
+from the configuration, and in flight by the service; a refused value is answered with the unchanged one and a
+STATUSTEXT with the reason.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -31,6 +33,25 @@ def decimal(value: float) -> float:
         return float(str(np.float32(value)))
 
 
+@dataclass(frozen=True, slots=True)
+class _Change:
+    """A change that the service is being told of.
+
+    Attributes
+    ----------
+    before : the values before
+    index : of the parameter that is answered, None for all together
+    said, refused : what is said if it is taken, and before the reason if it is not
+    refusal : why the service does not take it
+    """
+
+    before: Tuning
+    index: int | None
+    said: str
+    refused: str
+    refusal: str | None = None
+
+
 class ParameterServer:
     """Answers the parameter protocol for one tuning; None has no parameters.
 
@@ -43,6 +64,7 @@ class ParameterServer:
         self.tuning = tuning
         self._next_index: int | None = None
         self._due_us = 0
+        self._change: _Change | None = None
 
     @property
     def tunables(self) -> tuple[Tunable, ...]:
@@ -82,36 +104,56 @@ class ParameterServer:
         return [] if index is None else [self._value(index)]
 
     def set(self, message: Message) -> tuple[list[Reply], list[SettingsChanged]]:
-        """Answer PARAM_SET, and tell the service if anything is other than before."""
+        """Answer PARAM_SET; or tell the service that something is other than before, and see `conclude`."""
         name = message.param_id
         index = self._index(name)
         if index is None or self.tuning is None:
             return [Announce(Severity.WARNING, f"parameter {_shown(name)}: not known")], []
         value, before = decimal(message.param_value), self.tunables[index].value
-        problem = None
+        problem, tuning = None, self.tuning
         if message.param_type != REAL32:
             problem = f"type {message.param_type}: parameters are REAL32 ({REAL32})"
         elif value != decimal(before):
             try:
-                self.tuning = self.tuning.with_value(name, value)
+                tuning = self.tuning.with_value(name, value)
             except TuningProblem as error:
                 problem = f"{value:g}: {_reason(error)}"
         if problem is not None:
             return [self._value(index), Announce(Severity.WARNING, f"{name} refused: {problem}")], []
         if value == decimal(before):
             return [self._value(index)], []
-        said = Announce(Severity.INFO, f"{name} {before:g} -> {value:g}")
-        return [self._value(index), said], [SettingsChanged(self.tuning.settings)]
+        said = f"{name} {before:g} -> {value:g}"
+        self._change = _Change(self.tuning, index, said, f"{name} refused: {value:g}")
+        self.tuning = tuning
+        return [], [SettingsChanged(tuning.settings)]
+
+    def refuse(self, reason: str) -> None:
+        """The service does not take the change that it was just told of: all is as it was."""
+        if self._change is not None:
+            self.tuning = self._change.before
+            self._change = replace(self._change, refusal=reason)
+
+    def conclude(self) -> list[Reply]:
+        """What is answered to a change once the service was told of it."""
+        change, self._change = self._change, None
+        if change is None:
+            return []
+        said = Announce(Severity.INFO, change.said)
+        if change.refusal is not None:
+            said = Announce(Severity.WARNING, f"{change.refused}: {change.refusal}")
+        return [said] if change.index is None else [self._value(change.index), said]
 
     def store(self) -> str:
         """Keep the values; says what was done. Raises TuningProblem."""
         return self._some().stored()
 
     def reset(self, *, stored: bool) -> list[SettingsChanged]:
-        """Back to the stored values, or to the configuration's own. Raises TuningProblem."""
+        """Back to the stored values, or to the configuration's own; see `conclude`. Raises TuningProblem."""
         before = self._some()
         self.tuning = before.reread() if stored else before.original()
         changed = self.tuning.tunables != before.tunables
+        said = f"parameters as in the {'file' if stored else 'configuration'}"
+        self._change = _Change(before, None, said, "parameters stay")
         return [SettingsChanged(self.tuning.settings)] if changed else []
 
     def _some(self) -> Tuning:

@@ -125,6 +125,26 @@ def late(
     return None
 
 
+def unbearable(
+    before: ServiceSettings,
+    after: ServiceSettings,
+    known: Telemetry,
+    latency_s: float,
+    link: LinkMeasured | None,
+    time_us: int,
+) -> str | None:
+    """Why bandwidths must not be changed from `before` to `after` in flight: the link does not bear them.
+
+    What would end control is never borne; what only forbids engaging is, if it was so before.
+    """
+
+    def found(settings: ServiceSettings, most: Bearable) -> str | None:
+        return slow(settings, known, time_us) or late(settings, latency_s, link, most)
+
+    most = LATENCY_TO_ENGAGE if found(before, LATENCY_TO_ENGAGE) is None else LATENCY_IN_FLIGHT
+    return found(after, most)
+
+
 def empty(limits: LimitSettings, battery: BatteryReported | None) -> str | None:
     """The battery is low, if the autopilot knows."""
     if battery is None or battery.remaining_percent >= limits.battery_min_percent:

@@ -15,6 +15,7 @@ from kffa_offboard.offboard.guard import Wish, check_wish
 from kffa_offboard.offboard.payload_session import PayloadSession
 from kffa_offboard.offboard.reference import current_segment
 from kffa_offboard.offboard.segments import External
+from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.state import SENDING, State
 from kffa_offboard.offboard.tuning import adopt
 
@@ -30,8 +31,7 @@ class RequestSession(PayloadSession):
             case events.GripperRequested():
                 self._gripper_requested(time_us, event.action)
             case events.SettingsChanged():
-                self._loop = adopt(self._loop, self.settings, event.settings)
-                self.settings = event.settings
+                self._on_settings(time_us, event.settings)
             case events.LinkMeasured():
                 self._on_link_measured(time_us, event)
             case events.BatteryReported():
@@ -44,6 +44,16 @@ class RequestSession(PayloadSession):
                 self._on_intrusion(time_us, event)
             case _:
                 pass
+
+    def _on_settings(self, time_us: int, settings: ServiceSettings) -> None:
+        """Other numbers, unless that would end control at once."""
+        latency_s = telemetry.latency_on_arrival_s(self._known, self._link, time_us)
+        refusal = admission.unbearable(self.settings, settings, self._known, latency_s, self._link, time_us)
+        if refusal is not None and self.state in SENDING:
+            self._emit(events.RequestRefused(refusal))
+            return
+        self._loop = adopt(self._loop, self.settings, settings)
+        self.settings = settings
 
     def _on_link_measured(self, time_us: int, measured: events.LinkMeasured) -> None:
         """One late sample is jitter; two at successive measurements, or late answers, are a slow link."""

@@ -14,7 +14,7 @@ from kffa_offboard.config_log import make_companion
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.session import Session
 from kffa_offboard.offboard.events import Signals
-from kffa_offboard.offboard.service import Service
+from kffa_offboard.offboard.service import Service, State
 
 CONFIG = load(bundled("demo-px4.toml"))
 START_US = 1_700_000_000_000_000
@@ -102,6 +102,48 @@ def test_latency_is_the_samples_age_and_the_way_out(scripted, read):
     talk.telemetry(0.1)
     way_out_s = median(round_trips_s[-3:]) / 2
     assert talk.signals[-1].latency_s == pytest.approx(LATE_US * 1e-6 + way_out_s, abs=1e-3)
+
+
+def engage(talk):
+    """Take control in the air."""
+    talk.telemetry(3.0)
+    flies = mavlink.MAV_LANDED_STATE_IN_AIR
+    talk.hear(talk.autopilot, mavlink.MAVLink_extended_sys_state_message(0, flies))
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0))
+    assert talk.session.service.state is State.ENGAGING
+
+
+def set_bandwidth(talk, name, value):
+    """Set it: the value that is answered, and what is said."""
+    talk.link.sent.clear()
+    talk.hear(talk.ground, mavlink.MAVLink_param_set_message(245, 191, name, value, 9))
+    (answered,) = talk.sent("PARAM_VALUE")
+    return answered.param_value, "".join(said.text for said in talk.sent("STATUSTEXT"))
+
+
+def test_a_bandwidth_that_the_telemetry_does_not_bear_is_refused_in_flight(talk):
+    talk.telemetry(3.0)
+    (before,) = (t.value for t in CONFIG.tuning.tunables if t.name == "ROLL_OMEGA_O")
+    set_bandwidth(talk, b"ROLL_OMEGA_O", 260.0)
+    assert set_bandwidth(talk, b"ROLL_OMEGA_O", before)[0] == before, "while it waits anything goes"
+    engage(talk)
+    flown = talk.session.service.settings
+    refused = "ROLL_OMEGA_O refused: 260: attitude at 100 Hz; omega_o = 260 needs 104"
+    assert set_bandwidth(talk, b"ROLL_OMEGA_O", 260.0) == (before, refused)
+    assert talk.session.service.settings is flown
+    assert set_bandwidth(talk, b"ROLL_OMEGA_O", 240.0) == (240.0, f"ROLL_OMEGA_O {before:g} -> 240")
+
+
+def test_stored_values_that_the_telemetry_does_not_bear_are_not_read_in_flight(talk, monkeypatch):
+    engage(talk)
+    quick = CONFIG.tuning.with_value("YAW_OMEGA_O", 300.0)
+    monkeypatch.setattr(type(quick), "original", lambda tuning: quick)
+    talk.link.sent.clear()
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2.0))
+    assert [answer.result for answer in talk.sent("COMMAND_ACK")] == [mavlink.MAV_RESULT_TEMPORARILY_REJECTED]
+    texts = "".join(said.text for said in talk.sent("STATUSTEXT"))
+    assert texts == "parameters stay: attitude at 100 Hz; omega_o = 300 needs 120"
+    assert talk.session.service.settings is CONFIG.service
 
 
 def test_clocks_are_compared_five_times_a_second_and_never_unless_told(scripted, read, talk):

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from kffa_offboard.offboard import events
@@ -60,6 +61,25 @@ def test_a_latency_that_the_bandwidth_does_not_bear_forbids_engaging(fake):
     flight = ready(fake)
     flight.give(events.LinkMeasured(0, 0.5))
     assert refusal_of(flight).startswith("not engaged: latency 0.50 s; omega_c = 6 bears 0.17")
+
+
+@pytest.mark.parametrize(("round_trip_s", "bears"), [(0.05, "0.03"), (0.07, "0.04")])
+def test_on_a_slow_link_a_bandwidth_may_still_be_lowered(fake, round_trip_s, bears):
+    """omega_o = 30 is to be engaged with 0.06 s, and flown with up to 0.077 s."""
+    flight = ready(fake)
+    flight.give(events.EngageRequested())
+    flight.run_to(State.ENGAGED)
+    flight.give(events.LinkMeasured(0, round_trip_s))
+    for omega_c in (30.0, 7.0, 5.0):
+        controller = flight.service.settings.controller
+        law = replace(controller.law, omega_c=np.full(4, omega_c))
+        settings = replace(flight.service.settings, controller=replace(controller, law=law))
+        flight.give(events.SettingsChanged(settings))
+        assert (flight.service.settings is settings) == (omega_c < 30.0)
+    ((_, refused),) = flight.sent(events.RequestRefused)
+    assert refused.reason == f"latency {round_trip_s:.2f} s; omega_c = 30 bears {bears}"
+    flight.run(0.3)
+    assert flight.service.state is State.ENGAGED
 
 
 def test_leaving_the_fence_is_a_failsafe(fake):
