@@ -154,6 +154,13 @@ def mode_granted(engagement: Engagement) -> bool:
     return engagement.phase is not EngagePhase.STREAM
 
 
+def ask_no_more(settings: SequenceSettings, engagement: Engagement, time_us: int) -> Engagement:
+    """Wait for a last while whether OFFBOARD, once asked for, is granted after all."""
+    assert engagement.retry is not None
+    until_us = time_us + microseconds(settings.hold_timeout_s)
+    return replace(engagement, retry=replace(engagement.retry, next_us=until_us, give_up_us=until_us))
+
+
 def run_engagement(
     settings: SequenceSettings, may_arm: bool, state: Engagement, time_us: int, heartbeat: HeartbeatReceived
 ) -> EngageStep:

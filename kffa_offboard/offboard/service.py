@@ -331,6 +331,8 @@ class Service(ControlSession):
             if _answers(action, self._engagement.retry.request):
                 retry = accept_retry(self._engagement.retry, time_us)
                 self._engagement = replace(self._engagement, retry=retry)
+                if self._leaving:
+                    self._release_granted(time_us, self._outcome)
         elif self._retry is not None and _answers(action, self._retry.request):
             self._retry = accept_retry(self._retry, time_us)
             if self.state is State.FAILSAFE:

@@ -55,6 +55,7 @@ class Session:
         self._engagement: Engagement | None = None
         self._retry: Retry | None = None
         self._outcome = Finished(True, "")
+        self._leaving = False
         self._armed_here = False
         self._offboard_mode = 0
         self._auto_engage = settings.engage and not settings.shadow
@@ -165,6 +166,12 @@ class Session:
         self._follow_engagement(time_us, step)
 
     def _follow_engagement(self, time_us: int, step: EngageStep) -> None:
+        if self._leaving:
+            if step.takeover is not None or step.failure is not None:
+                self._finish(self._outcome)
+            elif step.engagement.phase is not EngagePhase.MODE or step.complete:
+                self._release_granted(time_us, self._outcome)
+            return
         was_waiting = self._engagement is not None and self._engagement.phase is EngagePhase.PERSON
         self._engagement = step.engagement
         self._emit(*step.outputs)
@@ -241,6 +248,9 @@ class Session:
 
     def _take_over(self, what: str) -> None:
         """Somebody else decided: stop at once; only a new request engages again."""
+        if self._leaving:
+            self._finish(self._outcome)
+            return
         self._auto_engage = False
         self._let_go(State.READY)
         self._say(Severity.WARNING, f"control given up: {what}")
@@ -255,6 +265,7 @@ class Session:
     def _let_go(self, state: State) -> None:
         """Nothing is in the daemon's hands any more."""
         self.state = state
+        self._leaving = False
         self._engagement = None
         self._flight = None
         self._external = None
@@ -280,7 +291,8 @@ class Session:
         To stay at hand does not undo that the end was asked for, or a failsafe.
         """
         outcome = Finished(True, reason)
-        self._stay = stay and (self._stay or self.state not in (State.RELEASING, State.FAILSAFE))
+        ends = self._leaving or self.state in (State.RELEASING, State.FAILSAFE)
+        self._stay = stay and (self._stay or not ends)
         if self.state in IDLE:
             if self.finished is None and not stay:
                 self._finish(outcome)
@@ -289,13 +301,13 @@ class Session:
                 self._say(Severity.NOTICE, "engages only when asked to")
         elif self.state is State.ENGAGING:
             assert self._engagement is not None
-            if self._engagement.grounded:
-                self._armed_here = self._engagement.arm_asked
-                self._release_on_ground(time_us, outcome)
-            elif self._engagement.phase is EngagePhase.STREAM:
+            if self._engagement.phase is EngagePhase.STREAM:
                 self._finish(outcome)
-            else:
-                self._release_in_air(time_us, outcome)
+            elif sequence.mode_granted(self._engagement):
+                self._release_granted(time_us, outcome)
+            elif not self._leaving:
+                self._leaving, self._outcome = True, outcome
+                self._engagement = sequence.ask_no_more(self.settings.sequence, self._engagement, time_us)
         elif self.state is State.ENGAGED:
             assert self._flight is not None
             if self._flight.phase is Phase.AIR:
@@ -306,6 +318,15 @@ class Session:
                 sent = self._loop.sent if self._loop is not None else None
                 thrust = sent.thrust if sent is not None else 0.0
                 self._flight = abandon_takeoff(self._flight, time_us, thrust, None)
+
+    def _release_granted(self, time_us: int, outcome: Finished) -> None:
+        """OFFBOARD is granted, or was while the release waited for that: there is something to give back."""
+        assert self._engagement is not None
+        if self._engagement.grounded:
+            self._armed_here = self._engagement.arm_asked
+            self._release_on_ground(time_us, outcome)
+        else:
+            self._release_in_air(time_us, outcome)
 
     def _end_flight(self, time_us: int, ending: Ending, reason: str | None) -> None:
         """The scenario is over."""
@@ -345,6 +366,7 @@ class Session:
 
     def _begin_release(self, time_us: int, retry: Retry, outcome: Finished) -> None:
         self.state = State.RELEASING
+        self._leaving = False
         self._engagement = None
         self._retry = retry
         self._outcome = outcome

@@ -424,6 +424,48 @@ def test_releasing_while_engaging_in_the_air_stops_or_asks_for_hold(fake):
     assert flight.service.state is State.RELEASING and flight.log[-1][1] == HOLD
 
 
+def released_before_granted(fake, vehicle, **release):
+    """OFFBOARD was asked for, and neither granted nor answered; then control is to be given back."""
+    flight = fake.Lockstep(fake.settings(arm=False), vehicle).run_to(State.ENGAGING)
+    flight.run(0.5)
+    flight.log.clear()
+    flight.give(events.ReleaseRequested("by hand", **release))
+    return flight
+
+
+@pytest.mark.parametrize("position", [0.0, 2.0])
+@pytest.mark.parametrize("answers", [False, True])
+def test_a_release_before_the_mode_was_granted_leaves_the_pilots_mode(fake, position, answers):
+    vehicle = fake.airborne(mode=ModeKind.OTHER, position=position, grants_mode=False, answers=answers)
+    flight = released_before_granted(fake, vehicle)
+    flight.run(2.1)
+    assert not flight.sent(SetMode) and flight.vehicle.mode is ModeKind.OTHER
+    assert flight.service.finished == Finished(True, "by hand")
+
+
+@pytest.mark.parametrize("answers", [False, True])
+@pytest.mark.parametrize(("position", "asked"), [(0.0, LAND), (2.0, HOLD)])
+def test_a_mode_that_is_granted_after_the_release_is_given_back(fake, position, asked, answers):
+    vehicle = fake.airborne(mode=ModeKind.OTHER, position=position, grants_mode=False, answers=False)
+    flight = released_before_granted(fake, vehicle)
+    flight.run(0.5)
+    flight.vehicle.grants_mode, flight.vehicle.answers = True, answers
+    for event in flight.vehicle.set_mode(ModeKind.OFFBOARD) or [flight.vehicle.heartbeat()]:
+        flight.give(event)
+    assert flight.sent(SetMode) == [(flight.time_us, asked)]
+    flight.run(1.2)
+    assert flight.vehicle.mode is asked.mode
+    assert flight.service.finished == Finished(True, "by hand")
+
+
+def test_a_stop_before_the_mode_is_granted_stays_one(fake):
+    vehicle = fake.airborne(grants_mode=False)
+    flight = released_before_granted(fake, vehicle)
+    flight.give(events.ReleaseRequested("commanded", stay=True))
+    flight.run(2.1)
+    assert flight.service.finished == Finished(True, "by hand")
+
+
 def test_releasing_when_nothing_is_held_finishes_at_once(fake):
     flight = fake.Lockstep(fake.settings())
     flight.run(0.3)
