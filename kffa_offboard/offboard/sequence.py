@@ -101,6 +101,7 @@ class Engagement:
     phase : current step
     grounded : engaging on the ground
     start_mode : the autopilot's custom_mode before; a third mode is the pilot's
+    offboard : that was OFFBOARD already, in which setpoints act from the first on
     armed : the vehicle was armed at the last heartbeat
     until_us : end of STREAM or PERSON
     retry : the request of MODE or ARM
@@ -110,6 +111,7 @@ class Engagement:
     phase: EngagePhase
     grounded: bool
     start_mode: int
+    offboard: bool
     armed: bool
     until_us: int
     retry: Retry | None = None
@@ -139,7 +141,8 @@ def begin_engagement(
 ) -> Engagement:
     """Start streaming at `time_us`."""
     until = time_us + microseconds(settings.stream_time_s)
-    return Engagement(EngagePhase.STREAM, grounded, heartbeat.custom_mode, heartbeat.armed, until)
+    offboard = heartbeat.mode is ModeKind.OFFBOARD
+    return Engagement(EngagePhase.STREAM, grounded, heartbeat.custom_mode, offboard, heartbeat.armed, until)
 
 
 def engagement_due(engagement: Engagement) -> int:
@@ -151,7 +154,7 @@ def mode_granted(engagement: Engagement) -> bool:
     """The autopilot follows the daemon's setpoints, as far as is known."""
     if engagement.phase is EngagePhase.MODE:
         return engagement.retry is not None and engagement.retry.accepted_us is not None
-    return engagement.phase is not EngagePhase.STREAM
+    return engagement.phase is not EngagePhase.STREAM or engagement.offboard
 
 
 def ask_no_more(settings: SequenceSettings, engagement: Engagement, time_us: int) -> Engagement:

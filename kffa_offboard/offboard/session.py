@@ -301,10 +301,10 @@ class Session:
                 self._say(Severity.NOTICE, "engages only when asked to")
         elif self.state is State.ENGAGING:
             assert self._engagement is not None
-            if self._engagement.phase is EngagePhase.STREAM:
-                self._finish(outcome)
-            elif sequence.mode_granted(self._engagement):
+            if sequence.mode_granted(self._engagement):
                 self._release_granted(time_us, outcome)
+            elif self._engagement.phase is EngagePhase.STREAM:
+                self._finish(outcome)
             elif not self._leaving:
                 self._leaving, self._outcome = True, outcome
                 self._engagement = sequence.ask_no_more(self.settings.sequence, self._engagement, time_us)

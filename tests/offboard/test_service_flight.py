@@ -466,6 +466,22 @@ def test_a_stop_before_the_mode_is_granted_stays_one(fake):
     assert flight.service.finished == Finished(True, "by hand")
 
 
+@pytest.mark.parametrize("lost", [False, True])
+def test_setpoints_that_act_from_the_first_on_are_given_back_as_later_ones(fake, lost):
+    """It is in OFFBOARD already while the first setpoints are streamed."""
+    vehicle = fake.airborne(mode=ModeKind.OFFBOARD, attitude=np.array([0.15, 0.0, 0.0]))
+    patient = SequenceSettings(stream_time_s=1.0)
+    flight = fake.Lockstep(fake.settings(failsafe_action="hold", sequence=patient), vehicle)
+    flight.run_to(State.ENGAGING).run(0.1)
+    if lost:
+        flight.mute = {events.AttitudeReceived}
+        flight.run_to(State.FAILSAFE, 0.3)
+        assert flight.sent(AttitudeTarget)[-1][1].attitude is not None
+    else:
+        flight.give(events.ReleaseRequested("by hand"))
+    assert flight.sent(SetMode) == [(pytest.approx(flight.time_us, abs=10_000), HOLD)]
+
+
 def test_releasing_when_nothing_is_held_finishes_at_once(fake):
     flight = fake.Lockstep(fake.settings())
     flight.run(0.3)
