@@ -131,8 +131,13 @@ def astray(settings: PositionSettings | None, state: HorizontalState | None) -> 
 def position_jump(
     settings: PositionSettings | None, last: PositionReceived | None, new: PositionReceived
 ) -> str | None:
-    """Say so if the horizontal position changed more than the vehicle can have moved."""
-    if settings is None or last is None:
+    """Say so if the vehicle is faster, or was moved farther, than it can be."""
+    if settings is None:
+        return None
+    speed = hypot(new.velocity[0], new.velocity[1])
+    if speed > settings.speed_max_m_s:
+        return f"speed {speed:.3g} m/s, {settings.speed_max_m_s:g} possible"
+    if last is None:
         return None
     dt = (new.sample_time_us - last.sample_time_us) * 1e-6
     jump = hypot(new.position[0] - last.position[0], new.position[1] - last.position[1])

@@ -269,7 +269,7 @@ class PositionSettings:
     braking_m_s2 : deceleration that is reckoned with when the place to stop is captured
     error_max_m : distance between set point and estimate that is a failsafe
     jump_m, speed_max_m_s : a change of position between two samples of more than
-        jump + speed * dt is impossible
+        jump + speed * dt is impossible; also the largest measured speed
     """
 
     ring: PositionParameters

@@ -248,3 +248,19 @@ def test_what_cannot_be_flown_is_refused_before_flying(fake, changes, message):
 def test_steps_of_heading_and_height_go_with_the_ring(fake):
     scenario = (Step("yaw", 0.5, 1.0), Step("altitude", 1.0, 1.0))
     assert fake.settings(scenario=scenario, position=ring()).scenario == scenario
+
+
+def test_a_speed_that_cannot_be_is_a_failsafe_within_the_same_call(fake):
+    flight = flight_of(fake, fake.settings(position=ring("kffa-ladrc"), scenario=()), fake.airborne())
+    flight.run_to(State.ENGAGED).run(0.5)
+    honest = flight.change
+
+    def gale(event):
+        event = honest(event)
+        if not isinstance(event, events.PositionReceived):
+            return event
+        return event._replace(velocity=(0.0, -21.0, event.velocity[2]))
+
+    flight.change = gale
+    flight.tick()
+    assert "failsafe: speed 21 m/s, 20 possible" in flight.texts
