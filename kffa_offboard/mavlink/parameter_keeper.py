@@ -106,11 +106,6 @@ class ParameterKeeper:
         """Nothing is left to do on the vehicle, or it was given up."""
         return self._phase in (_Phase.WAITING, _Phase.DONE)
 
-    @property
-    def finishing(self) -> bool:
-        """Old values are going back, or about to."""
-        return self._phase in (_Phase.HOLDING, _Phase.RESTORING)
-
     def take(self) -> Todo | None:
         """What the calls so far ask for; None for nothing."""
         if not (self._todo.messages or self._todo.events or self._todo.announcements):

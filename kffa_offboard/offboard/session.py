@@ -407,6 +407,7 @@ class Session:
 
     def _give_up(self, time_us: int) -> None:
         """There is no more time for releasing: what would be said at its end is said now."""
+        self._stay = False  # the process ends, whatever was asked for since the stop
         if self.finished is None and self.state is State.ENGAGED:
             self._say_farewell()
             self._release_on_ground(time_us, self._outcome)  # only a thrust ramp outlasts the release

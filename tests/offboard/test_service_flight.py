@@ -333,7 +333,9 @@ def test_told_to_give_up_on_the_ground_it_warns_and_asks_for_land_mode(fake, thr
     flight.run(3.0, lambda: thrusts(flight)[-1] >= thrust)
     flight.vehicle.grants_arming = False
     flight.give(events.ReleaseRequested("stop requested"))
-    flight.run(3.0)
+    flight.run(2.0)
+    flight.give(events.ReleaseRequested("commanded", stay=True))
+    flight.run(1.0)
     flight.give(events.GiveUpRequested())
     assert "still armed on the ground: keep away" in flight.texts
     assert flight.sent(SetMode)[-1][1] == LAND
