@@ -165,7 +165,7 @@ def _note(document: dict[str, Any]) -> Note:
             return EngageRequested()
         case {"note": "request", "what": "release", "reason": str(reason)}:
             return ReleaseRequested(reason)
-        case {"note": "request", "what": "give up"}:
+        case {"note": "request", "what": "give up" | "put back"}:  # as it was called first
             return GiveUpRequested()
         case {"note": "request", "what": "intrusion", **fields}:
             return _checked(IntrusionNoticed, fields)

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from kffa_offboard.offboard import events
+from kffa_offboard.offboard.engage_session import EngageSession
 from kffa_offboard.offboard.events import Severity
 from kffa_offboard.offboard.guard import tilt_factor
 from kffa_offboard.offboard.loop import Order, Trace
@@ -26,7 +27,6 @@ from kffa_offboard.offboard.payload import (
 from kffa_offboard.offboard.release import ReleasePlan, altitude_disturbance, plan_release, with_altitude_step
 from kffa_offboard.offboard.segments import Land
 from kffa_offboard.offboard.sequence import microseconds
-from kffa_offboard.offboard.session import Session
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.state import SENDING, State
 
@@ -45,7 +45,7 @@ class Release:
     before: float
 
 
-class PayloadSession(Session):
+class PayloadSession(EngageSession):
     """Gripper and payload awareness; use `service.Service`."""
 
     def __init__(self, settings: ServiceSettings) -> None:

@@ -13,8 +13,9 @@ Rules, each kept in one place:
   due after it, at the time of the step;
 - after giving up control nothing is sent until somebody asks again (PX4 would return to OFFBOARD).
 
-`session.py` holds the other half, taking and giving back control; `control_session.py` the control step;
-`payload_session.py` gripper and load; `request_session.py` what others ask for.
+`engage_session.py` and `session.py` hold the other half, taking and giving back control;
+`control_session.py` the control step; `payload_session.py` gripper and load; `request_session.py` what
+others ask for.
 """
 
 from __future__ import annotations

@@ -1,0 +1,158 @@
+"""Taking control: the part of the offboard service that engages, and follows the vehicle's heartbeats."""
+
+from __future__ import annotations
+
+from kffa_offboard.offboard import admission, events, parameters, sequence, telemetry
+from kffa_offboard.offboard.events import ModeKind, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.flight import Phase, begin_flight, start_scenario
+from kffa_offboard.offboard.loop import forget_sent
+from kffa_offboard.offboard.rivals import forbids
+from kffa_offboard.offboard.segments import Land, starts_on_ground
+from kffa_offboard.offboard.sequence import EngagePhase, EngageStep
+from kffa_offboard.offboard.session import Session
+from kffa_offboard.offboard.state import IDLE, REFUSED, Finished, State
+
+
+class EngageSession(Session):
+    """The part of the service that takes control; use `service.Service`."""
+
+    def _refusal(self, time_us: int) -> str | None:
+        """Why control cannot be taken now."""
+        if self.finished is not None:
+            return "finished; start the daemon again"
+        if self.settings.shadow:
+            return "shadow mode"
+        unsafe = parameters.unsafe(self._parameters)
+        if unsafe is not None:
+            return unsafe
+        if self.state not in IDLE:
+            return f"already {self.state.value}"
+        refusal = admission.refusal(
+            self.settings, self._known, self._loop, self._link, self._battery, time_us
+        )
+        refusal = refusal or forbids(self._rivals, time_us)
+        if refusal is not None or self.state is State.WAITING:
+            return refusal or "not ready"
+        grounded = self._grounded(time_us)
+        if grounded is None:
+            return "cannot tell whether it flies"
+        if grounded and not starts_on_ground(self.settings.scenario):
+            return "on the ground, and no take-off first"
+        leads = self._loop is not None and admission.leaves_limits(self.settings, self._loop, grounded)
+        if leads:
+            return leads
+        return telemetry.outside_limits(self.settings.limits, self._known, self._ground_level(grounded))
+
+    def _ground_level(self, grounded: bool) -> float:
+        return self._loop.altitude if grounded and self._loop is not None else 0.0
+
+    def _engage(self, time_us: int) -> None:
+        """Take control, or say why not."""
+        refusal = self._refusal(time_us)
+        if refusal is not None:
+            self._say(Severity.WARNING, f"not engaged: {refusal}")
+            self._emit(events.RequestRefused(refusal, self.finished is not None or self.settings.shadow))
+            forbidden = self._parameters.complete and parameters.unsafe(self._parameters) == refusal
+            if forbidden and self.settings.engage:
+                self._finish(Finished(False, f"not engaged: {refusal}"))
+            return
+        known = self._known
+        grounded = self._grounded(time_us)
+        assert known.heartbeat is not None and known.attitude is not None and known.position is not None
+        assert grounded is not None and self._loop is not None
+        self._engagement = sequence.begin_engagement(
+            self.settings.sequence, time_us, known.heartbeat, grounded
+        )
+        altitude = self._loop.altitude if grounded else self._loop.hold_altitude
+        self._flight = begin_flight(time_us, not grounded, altitude, known.attitude.attitude[2])
+        self._loop = forget_sent(self._loop)
+        self._centre = known.position.position[:2]
+        self._followed = None
+        self._said.clear()
+        self._stay = False
+        self._armed_here = False
+        self._capture = False
+        self.state = State.ENGAGING
+        self._say(Severity.NOTICE, f"engaging {'on the ground' if grounded else 'in the air'}")
+
+    def _run_engagement(self, time_us: int) -> None:
+        assert self._engagement is not None and self._known.heartbeat is not None
+        step = sequence.run_engagement(
+            self.settings.sequence, self.settings.arm, self._engagement, time_us, self._known.heartbeat
+        )
+        self._follow_engagement(time_us, step)
+
+    def _follow_engagement(self, time_us: int, step: EngageStep) -> None:
+        if self._leaving:
+            if step.takeover is not None or step.failure is not None:
+                self._finish(self._outcome)
+            elif step.engagement.phase is not EngagePhase.MODE or step.complete:
+                self._release_granted(time_us, self._outcome)
+            return
+        was_waiting = self._engagement is not None and self._engagement.phase is EngagePhase.PERSON
+        self._engagement = step.engagement
+        self._emit(*step.outputs)
+        if SetMode(ModeKind.OFFBOARD) in step.outputs:
+            self._capture = True
+        if step.takeover is not None:
+            self._take_over(step.takeover)
+        elif step.failure is not None:
+            if step.engagement.arm_asked:
+                self._emit(SetArmed(False))  # so that a late answer does not leave it armed
+            self._let_go(State.READY)
+            self._say(Severity.WARNING, f"not engaged: {step.failure}")
+        elif step.complete:
+            assert self._known.heartbeat is not None and self._flight is not None
+            self._armed_here = step.engagement.arm_asked
+            self._offboard_mode = self._known.heartbeat.custom_mode
+            self._engagement = None
+            self._flight = start_scenario(self._flight, time_us)
+            self.state = State.ENGAGED
+            self._say(Severity.NOTICE, "engaged")
+        elif step.engagement.phase is EngagePhase.PERSON and not was_waiting:
+            self._say(Severity.WARNING, "flies as soon as a person arms")
+
+    def _follow_heartbeat(self, time_us: int, event: events.HeartbeatReceived) -> None:
+        """What a heartbeat means for the present state."""
+        offboard = event.mode is ModeKind.OFFBOARD
+        match self.state:
+            case State.ENGAGING:
+                assert self._engagement is not None
+                step = sequence.heartbeat_in_engagement(
+                    self.settings.sequence, self.settings.arm, self._engagement, time_us, event
+                )
+                self._follow_engagement(time_us, step)
+            case State.ENGAGED:
+                if not event.armed:
+                    self._disarmed_in_flight()
+                elif not offboard or event.custom_mode != self._offboard_mode:
+                    self._take_over(f"mode {event.mode_name}")
+            case State.RELEASING:
+                if not event.armed and not self._may_still_arm(event):
+                    self._finish(self._outcome)
+                elif not (offboard or (self._lands_to_disarm and event.mode is ModeKind.LAND)):
+                    self._finish(REFUSED if self._lands_to_disarm else self._outcome)
+            case State.FAILSAFE:
+                ours = self._may_still_arm(event) or event.armed
+                if self._retry is not None and (not offboard or not ours):
+                    self._finish(self._outcome)
+            case _:
+                pass
+
+    def _disarmed_in_flight(self) -> None:
+        """The autopilot's own disarming after landing is no surprise; any other is somebody's decision."""
+        flight = self._flight
+        assert flight is not None
+        index, scenario = flight.scenario.segment_index, self.settings.scenario
+        landing = index < len(scenario) and isinstance(scenario[index], Land)
+        if flight.phase is Phase.TOUCHDOWN or (landing and flight.seen_in_air and self._known.on_ground):
+            self._finish(Finished(flight.failure is None, flight.failure or "scenario done, landed"))
+        else:
+            self._take_over("disarmed")
+
+    def _restarted(self, armed: bool) -> None:
+        """The first heartbeat tells whether the flight of an earlier run still goes on."""
+        if self._interrupted and armed and self._auto_engage:
+            self._auto_engage = False
+            self._say(Severity.WARNING, "restarted in flight: only observing")
+        self._interrupted = False
