@@ -65,6 +65,17 @@ class ObserverParameters:
         """Decay rate of the fastest pole of each channel, (4,) or (4, N), 1/s."""
         return np.asarray(np.abs(self.poles).max(axis=0))
 
+    def hurried(self, damping: Array) -> ObserverParameters:
+        """With poles that are in sum no slower than the plant's `damping` ``(4,)``, ``(4, 1)`` or ``(4, N)``.
+
+        Slower ones would hold the decay of the rate back, with gains that grow like
+        exp((damping - 3 omega_o) elapsed): with samples lost, estimates diverge.
+        """
+        poles = self.poles
+        if poles.ndim == 2 and damping.ndim == 2:
+            poles = poles[..., None]
+        return ObserverParameters(poles * np.maximum(1.0, damping / np.real(poles.sum(axis=0))))
+
     @classmethod
     def from_bandwidth(cls, omega_o: Array) -> ObserverParameters:
         """Bandwidth form: L = [3 omega_o, 3 omega_o^2, omega_o^3] (paper after eq 27)."""
@@ -165,8 +176,9 @@ def discretised(model: PlantModel, dt: float | Array, axes: int) -> Discrete:
 
 @remember
 def gains(parameters: ObserverParameters, model: PlantModel, elapsed: Array) -> tuple[Array, Array, Array]:
-    """`correction_gains` after `elapsed` s ``(4[, N])`` without a correction."""
-    return correction_gains(parameters, column(model.damping, elapsed), elapsed)
+    """`correction_gains` after `elapsed` s ``(4[, N])`` without a correction, with `hurried` poles."""
+    damping = column(model.damping, elapsed)
+    return correction_gains(parameters.hurried(damping), damping, elapsed)
 
 
 def moved(

@@ -121,6 +121,28 @@ def test_the_error_dies_out_for_any_jitter(dts: list[float], damping: float, ome
     assert abs(state.estimate[0]) <= max(1e-6, 1e3 * decayed**0.5)
 
 
+@pytest.mark.parametrize("batch", [False, True])
+@pytest.mark.parametrize(("omega_o", "damping"), [(25.0, 200.0), (10.0, 100.0), (10.0, 50.0)])
+def test_estimates_of_a_plant_quicker_than_the_observer_stay_near_when_half_the_samples_are_lost(
+    omega_o: float, damping: float, batch: bool
+) -> None:
+    random, noise = np.random.default_rng(4), 0.001
+    shape = (1, 1) if batch else (1,)
+    model, parameters = plant(damping=damping), observer.ObserverParameters.from_bandwidth(omega_o * ONE)
+    state = observer.ObserverState(*np.zeros((4, *shape)))
+    for _ in range(2000):
+        state = observer.predict(model, state, np.zeros(shape), 0.01)
+        measured, fresh = noise * random.normal(size=shape), random.random(shape) < 0.5
+        state = observer.correct(parameters, model, state, measured, fresh)
+        assert abs(state.estimate.item()) <= 10.0 * noise
+
+
+def test_a_plant_slower_than_the_observer_has_the_poles_that_are_asked_for() -> None:
+    parameters = observer.ObserverParameters.from_gains(np.array([[60.0], [2100.0], [26000.0]]))  # complex
+    assert np.array_equal(parameters.hurried(59.0 * ONE).poles, parameters.poles)
+    assert parameters.hurried(90.0 * ONE).poles.sum().real == pytest.approx(90.0)
+
+
 def test_a_channel_without_a_measurement_is_predicted_and_later_corrected_for_the_whole_gap() -> None:
     model, parameters = plant(), observer.ObserverParameters.from_bandwidth(20.0 * ONE)
     moving = observer.ObserverState(ONE, 2.0 * ONE, 0 * ONE, 0 * ONE)
