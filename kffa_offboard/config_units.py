@@ -30,7 +30,11 @@ UNIT_WORDS = {
     "rad/s^2": "radians per second squared",
     "1/s": "per second",
     "of full thrust": "fraction of full thrust",
+    "%": "percent",
 }
+SMALLEST, LARGEST = 1e-30, 1e30
+"""Sizes beyond are no quantities, and their squares may be 0 or infinite."""
+
 _TOO_LARGE = {
     "s": "milliseconds",
     "m": "millimetres",
@@ -78,7 +82,7 @@ class Quantity:
             raise ValueError(f"must be a number{self._of_unit()}, without quotes{self._converted(value)}")
         if isinstance(value, bool) or not isinstance(value, (int, float)):
             raise ValueError(f"must be a number{self._of_unit()}")
-        number = float(value)
+        number = _as_float(value)
         if not math.isfinite(number):
             raise ValueError(f"must be a finite number{self._of_unit()}")
         if self.above is not None and number <= self.above:
@@ -87,6 +91,8 @@ class Quantity:
             raise ValueError(self._too_small(number, self.at_least))
         if self.at_most is not None and number > self.at_most:
             raise ValueError(self._too_large(number, self.at_most))
+        if number != 0.0 and not SMALLEST <= abs(number) <= LARGEST:
+            raise ValueError(f"must have a size from {SMALLEST:g} to {LARGEST:g}")
         return number
 
     @property
@@ -122,6 +128,14 @@ class Quantity:
             return f"; write {float(match[1]) * factors[match[2]]:g}"
         except ValueError:
             return ""
+
+
+def _as_float(value: float) -> float:
+    """The same; infinite for a whole number that has no float."""
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf
 
 
 def number(

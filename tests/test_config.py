@@ -220,6 +220,22 @@ def test_nothing_arms_or_engages_unless_the_command_line_says_so(file: Path) -> 
             "[control.rates.yaw]\nomega_c = true",
             "control.rates.yaw.omega_c = true: must be a number (radians per second)",
         ),
+        (
+            "[limits]\nbattery_min_percent = nan",
+            "limits.battery_min_percent = nan: must be a finite number (percent)",
+        ),
+        (
+            "measurement_noise_m = 1e-200",
+            "control.altitude.measurement_noise_m = 1e-200: must have a size from 1e-30 to 1e+30",
+        ),
+        (
+            "[control.rates.roll]\ndisturbance_intensity = 1e308",
+            "control.rates.roll.disturbance_intensity = 1e+308: must have a size from 1e-30 to 1e+30",
+        ),
+        (
+            "[position]\nerror_max_m = 1" + 400 * "0",
+            f"position.error_max_m = 1{56 * '0'}...: must be a finite number (metres)",
+        ),
         ("[limits]\ntilt_max_deg = 0.5", "limits.tilt_max_deg = 0.5: is below 3 deg; were these radians?"),
         (
             "[limits]\nthrust_max = 95",
