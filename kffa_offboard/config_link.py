@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import AfterValidator, Field, field_validator, model_validator
 
 from kffa_offboard.config_control import Table
 from kffa_offboard.errors import UserError
@@ -13,6 +14,20 @@ from kffa_offboard.mavlink.senders import parse_sender
 
 SystemId = Annotated[int, Field(ge=1, le=255)]
 ComponentId = Annotated[int, Field(ge=1, le=255)]
+
+
+def _expands(name: str) -> str:
+    try:
+        Path(name).expanduser()
+    except RuntimeError as error:
+        raise ValueError("nobody of that name has a home directory; write the whole path") from error
+    if "\0" in name:
+        raise ValueError("no file has such a name; write another one")
+    return name
+
+
+FileName = Annotated[str, AfterValidator(_expands)]
+"""Of a file or a directory; may begin with ~."""
 
 
 class LinkTable(Table):
@@ -43,9 +58,9 @@ class SigningTable(Table):
     Files are named from the configuration's directory. See docs/security.md.
     """
 
-    key_file: str | None = None
+    key_file: FileName | None = None
     link_id: Annotated[int, Field(ge=0, le=255)] = 0
-    timestamp_file: str | None = None
+    timestamp_file: FileName | None = None
 
     @model_validator(mode="after")
     def _all_need_a_key(self) -> SigningTable:

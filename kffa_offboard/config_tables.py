@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from kffa_offboard.config_control import ControlTable, Table
-from kffa_offboard.config_link import CompanionTable, LinkTable, SigningTable
+from kffa_offboard.config_link import CompanionTable, FileName, LinkTable, SigningTable
 from kffa_offboard.config_payload import PayloadTable
 from kffa_offboard.config_position import PositionTable
 from kffa_offboard.config_process import ProcessTable, RealtimeTable
@@ -178,7 +178,7 @@ class AutopilotTable(Table):
 class LogTable(Table):
     """`[log]`: where flight logs go; left out, none is kept."""
 
-    directory: str | None = None
+    directory: FileName | None = None
     file_size_max_mb: Annotated[float, Field(ge=1.0)] | None = None
     """A longer flight goes on in FLIGHT-2.tlog, FLIGHT-3.tlog, ...; an hour at 100 Hz is about 200 MB."""
 
@@ -189,7 +189,7 @@ class ParametersTable(Table):
     Left out, they cannot be stored. At the next start the file is read on top of the configuration.
     """
 
-    file: str | None = None
+    file: FileName | None = None
 
 
 class SignalsTable(Table):

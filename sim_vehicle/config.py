@@ -295,7 +295,13 @@ def load(path: Path, overrides: Mapping[str, Mapping[str, Any]] | None = None) -
         raise SimulatorError(f"{path}: holds a number or a nesting that is too long; shorten it") from problem
     signing = values.get("signing")
     if isinstance(signing, dict) and isinstance(name := signing.get("key_file"), str):
-        signing["key_file"] = str(path.parent / Path(name).expanduser())
+        try:
+            signing["key_file"] = str(path.parent / Path(name).expanduser())
+        except RuntimeError as problem:
+            raise SimulatorError(
+                f"{path}: signing.key_file = {name!r}: nobody of that name has a home directory; "
+                "write the whole path"
+            ) from problem
     for section, changes in (overrides or {}).items():
         table = values.setdefault(section, {})
         if isinstance(table, dict):

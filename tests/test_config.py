@@ -304,6 +304,15 @@ def test_a_bad_segment_is_named_by_its_place_and_kind(file: Path, segment: str, 
     assert complaint(file, f"{MINIMAL}[[scenario.segment]]\n{segment}").startswith(expected)
 
 
+@pytest.mark.parametrize("key", ["log.directory", "parameters.file", "signing.key_file"])
+def test_a_home_directory_of_nobody_and_an_impossible_name_are_refused(file: Path, key: str) -> None:
+    table, name = key.split(".")
+    assert complaint(file, f'{MINIMAL}[{table}]\n{name} = "~nobody-here/x"') == (
+        f'{key} = "~nobody-here/x": nobody of that name has a home directory; write the whole path'
+    )
+    assert "no file has such a name" in complaint(file, f'{MINIMAL}[{table}]\n{name} = "a\\u0000b"')
+
+
 def test_a_landing_that_is_not_the_end_is_refused(file: Path) -> None:
     text = (
         f'{MINIMAL}[[scenario.segment]]\ntype = "land"\n[[scenario.segment]]\ntype = "hold"\nduration_s = 1'

@@ -203,3 +203,10 @@ def test_load_changes_out_of_order_are_refused(tmp_path):
 def test_another_machine_may_be_reached_if_that_is_allowed():
     config = build({"link": {"endpoints": ["udpin:0.0.0.0:14540"], "allow_remote": True}}, "test")
     assert config.link.endpoints == ("udpin:0.0.0.0:14540",)
+
+
+def test_a_key_in_the_home_directory_of_nobody_is_refused(tmp_path):
+    assert error_of('[signing]\nkey_file = "~nobody-here/key"', tmp_path) == (
+        "signing.key_file = '~nobody-here/key': nobody of that name has a home directory; "
+        "write the whole path"
+    )
