@@ -123,6 +123,8 @@ class _Reader:
         match note:
             case Header():
                 if self._header is None:
+                    if note.part != 1:
+                        raise ValueError(f"is part {note.part} of a flight; name its first file")
                     self._header, self._begin_us, self._last_us = note, time_us, time_us
                     self._own = (message.get_srcSystem(), message.get_srcComponent())
             case End():

@@ -126,8 +126,8 @@ def test_a_note_that_is_none_is_explained_in_a_line(tmp_path, note):
     assert any("could not be read" in remark for remark in read_any(path, "any").remarks)
 
 
-def header():
-    notes = to_messages(Header("0.1.0", {"link": {"url": "udpin:127.0.0.1:0"}}, {}))
+def header(part=1):
+    notes = to_messages(Header("0.1.0", {"link": {"url": "udpin:127.0.0.1:0"}}, {}, part=part))
     return [(BEGIN_US, frame(message, (245, 191))) for message in notes]
 
 
@@ -146,3 +146,9 @@ def test_a_log_in_which_time_goes_back_or_jumps_by_days_is_not_replayed(tmp_path
     records = [*header(), (BEGIN_US + 10, HEARTBEAT), (BEGIN_US + 10 + later_us, ATTITUDE)]
     with pytest.raises(UserError, match=r"time goes from .* cannot be replayed"):
         read_recording(tlog(tmp_path / "any.tlog", *records))
+
+
+def test_a_further_part_alone_is_not_replayed_as_if_it_were_a_flight(tmp_path):
+    path = tlog(tmp_path / "flight-2.tlog", *header(part=2), (BEGIN_US + 5, HEARTBEAT))
+    with pytest.raises(UserError, match="is part 2 of a flight; name its first file; it cannot be replayed"):
+        read_recording(path)
