@@ -117,12 +117,20 @@ def _fly(settings: PaperSettings, plan: PaperPlan, console: Console) -> Flown:
 
 @contextlib.contextmanager
 def _interrupt_held_back() -> Iterator[None]:
-    """Processes started meanwhile leave Ctrl-C to this one from their first moment; here it comes after."""
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    """Processes started meanwhile leave Ctrl-C to this one from their first moment; here it comes after.
+
+    The mask is for them, and theirs by inheritance. Here another thread, which has none, may get the signal.
+    """
+    came: list[int] = []
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    handler = signal.signal(signal.SIGINT, lambda number, frame: came.append(number))
     try:
         yield
     finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.signal(signal.SIGINT, handler)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if came:
+            signal.raise_signal(signal.SIGINT)
 
 
 def _judged(settings: PaperSettings, plan: PaperPlan, flown: Flown) -> tuple[dict[str, Any], list[Claim]]:
