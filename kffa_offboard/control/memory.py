@@ -13,7 +13,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 REMEMBERED = 2048
-"""Results that one function keeps, enough for ten vehicles in a process; beyond it the oldest is forgotten."""
+"""Results that one function keeps, enough for ten vehicles; beyond it the oldest is forgotten."""
 
 LARGEST = 1024
 """Entries of an array that still counts: what belongs to a batch of many flights is worked out each time."""
