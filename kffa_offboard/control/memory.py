@@ -12,8 +12,8 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-REMEMBERED = 2048
-"""Results that one function keeps, enough for ten vehicles; beyond it the oldest is forgotten."""
+REMEMBERED = 256
+"""Results that one function keeps; beyond it the oldest is forgotten."""
 
 LARGEST = 1024
 """Entries of an array that still counts: what belongs to a batch of many flights is worked out each time."""
