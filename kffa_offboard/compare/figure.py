@@ -7,13 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from kffa_offboard.compare.results import Result
-from kffa_offboard.plot_style import BLUE, GREEN, GREY, ORANGE, STYLE, VIOLET
+from kffa_offboard.plot_style import BLUE, GREEN, GREY, ORANGE, VIOLET, figure_to
 from kffa_offboard.trials.metrics import WINDOW_S
 
 _COLOURS = {
@@ -40,9 +37,7 @@ def draw_height(path: Path, results: Sequence[Result], title: str) -> None:
     shown = [result for result in measured if result.trial.name in _COLOURS] or measured
     small = [result for result in shown if result.load is not None and result.load.pickup.peak_m < SMALL_M]
     rows = [chosen for chosen in (shown, small) if chosen]
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.5, 0.4 + 3.6 * len(rows)), dpi=130, layout="constrained")
-        FigureCanvasAgg(figure)
+    with figure_to(path, (10.5, 0.4 + 3.6 * len(rows)), dpi=130) as figure:
         axes = figure.subplots(len(rows), 2, sharex=True, sharey="row", squeeze=False)
         figure.suptitle(title, fontsize=12.5, fontweight="bold")
         for row, chosen in enumerate(rows):
@@ -53,7 +48,6 @@ def draw_height(path: Path, results: Sequence[Result], title: str) -> None:
                 axes[row][column].axvline(0.0, color=GREY, linewidth=1.0, linestyle=(0, (4, 3)))
                 axes[row][column].set_xlim(-_BEFORE_S, WINDOW_S)
         _name_panels(axes)
-        figure.savefig(path)
 
 
 def _height(axis: Any, result: Result, event: str, row: int, colour: str) -> None:
@@ -88,9 +82,7 @@ def _name_panels(axes: Any) -> None:
 def draw_steps(path: Path, results: Sequence[Result], title: str) -> None:
     """True roll, pitch and yaw of the attitude course against time since lift-off."""
     shown = [result for result in results if result.steps and result.truth is not None]
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=(10.5, 6.0), dpi=130, layout="constrained")
-        FigureCanvasAgg(figure)
+    with figure_to(path, (10.5, 6.0), dpi=130) as figure:
         axes = figure.subplots(3, 1)
         figure.suptitle(title, fontsize=12.5, fontweight="bold")
         for axis, name, bounds in zip(axes, ("roll", "pitch", "yaw"), _bounds(shown), strict=True):
@@ -111,7 +103,6 @@ def draw_steps(path: Path, results: Sequence[Result], title: str) -> None:
                 )
         axes[0].legend(loc="upper right", ncols=2)
         axes[-1].set_xlabel("time since lift-off [s]")
-        figure.savefig(path)
 
 
 def _bounds(shown: Sequence[Result]) -> list[tuple[float, float]]:

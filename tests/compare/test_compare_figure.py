@@ -28,7 +28,7 @@ def flight(peak_m: float) -> Truth:
 def panels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, peaks_m: dict[str, float]) -> list[list[str]]:
     """Rows' labels without their peaks, in each panel of the figure of these rows."""
     drawn: list[Figure] = []
-    monkeypatch.setattr(Figure, "savefig", lambda figure, path: drawn.append(figure))
+    monkeypatch.setattr(Figure, "savefig", lambda figure, path, **settings: drawn.append(figure))
     plan = ComparePlan(tmp_path, firmware=tmp_path, full=True, only=tuple(peaks_m))
     results = []
     for trial in trials(plan):
