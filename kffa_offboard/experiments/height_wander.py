@@ -1,6 +1,6 @@
 """``python -m kffa_offboard.experiments.height_wander``: what the estimate's wander adds to a comparison.
 
-Prints the table of docs/comparison.md as Markdown: IAE and peak of the error of an estimate of height, from
+Prints the table of docs/comparison-px4.md as Markdown: IAE and peak of the error of a height estimate, from
 its mean in the 5 s before the pick-up, in the 5 s after pick-up and drop (10 s later). A vehicle that held
 the estimate exactly would move by that much. The estimate is the vertical part of PX4's EKF2 with the noises
 that it assumes by default (height, climb rate, accelerometer bias; satellite fix, accelerometer, and a range

@@ -1,4 +1,4 @@
-"""What docs/comparison.md says of the wander of an estimate of height."""
+"""What docs/comparison-px4.md says of the wander of an estimate of height."""
 
 from __future__ import annotations
 

@@ -17,9 +17,9 @@ pytestmark = pytest.mark.timeout(900)
 
 @dataclass(frozen=True)
 class Figures:
-    """docs/comparison.md, with room for the centimetre by which two flights differ.
+    """docs/comparison-px4.md, with room for the centimetre by which two flights differ.
 
-    PX4 with its present gains misses the last two at seed 0 (docs/comparison.md): its estimate wanders.
+    PX4 with its present gains misses the last two at seed 0 (docs/comparison-px4.md): its estimate wanders.
     """
 
     peak_m: float
