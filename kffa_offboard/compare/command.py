@@ -17,7 +17,7 @@ from kffa_offboard.compare.flight import Progress as ShowProgress
 from kffa_offboard.compare.flight import fly
 from kffa_offboard.compare.joining import check_join, joined
 from kffa_offboard.compare.limits import FlightCut
-from kffa_offboard.compare.measure import LoadFigures, measure_load, measure_steps
+from kffa_offboard.compare.measure import LoadFigures, measure_load, measure_place, measure_steps
 from kffa_offboard.compare.plan import ComparePlan, Join, Trial, trials
 from kffa_offboard.compare.report import Drawing, report
 from kffa_offboard.compare.results import Result, as_json, verdicts
@@ -126,7 +126,9 @@ def _fly_one(setup: Setup, trial: Trial, show: ShowProgress) -> Result:
             steps = measure_steps(truth, read_signals(setup.file(trial, ".tlog")), flown_steps())
             return Result(trial, flown, truth, steps=tuple(steps))
         load = measure_load(truth)
-        return Result(trial, flown, truth, load=load, estimate=_estimate(setup, trial, truth, load))
+        place = measure_place(truth, load) if trial.conditions.wind else None
+        estimate = _estimate(setup, trial, truth, load)
+        return Result(trial, flown, truth, load=load, place=place, estimate=estimate)
     except FlightFailed as failure:
         return Result(trial, failure=str(failure), cut=isinstance(failure, FlightCut))
 

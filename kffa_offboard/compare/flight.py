@@ -151,9 +151,7 @@ def wait_for_head_start(running: Simulation, progress: Progress) -> None:
 
 def daemon_document(setup: Setup, trial: Trial, running: Simulation) -> dict[str, Any]:
     """The daemon's configuration of a trial: ours for this firmware, with the trial's link and course."""
-    imitation = setup.binary is None and setup.joined is None
-    name = f"demo-{setup.autopilot}.toml" if imitation else f"compare-{setup.autopilot}.toml"
-    base = read_toml(setup.config or bundled(name))
+    base = read_toml(setup.config or bundled(_gains(setup, trial)))
     rate, delay = trial.conditions.rate_hz, trial.conditions.delay_s
     changes: dict[str, Any] = {
         "link": {"url": running.url, "target_system": running.target_system},
@@ -163,8 +161,21 @@ def daemon_document(setup: Setup, trial: Trial, running: Simulation) -> dict[str
     if rate != base.get("telemetry", {}).get("attitude_hz"):
         changes["telemetry"] |= {"attitude_hz": rate, "position_hz": rate}
     if delay != NORMAL_DELAY_S:
-        changes["control"] = _with_delay(base["control"], delay - NORMAL_DELAY_S)
+        changes |= {
+            section: _with_delay(base[section], delay - NORMAL_DELAY_S)
+            for section in ("control", "position")
+            if section in base
+        }
+    if trial.conditions.wind:
+        changes["position"] = changes.get("position", {}) | {"enabled": True}
     return merged(base, changes)
+
+
+def _gains(setup: Setup, trial: Trial) -> str:
+    """Our configuration of the daemon for this firmware."""
+    if setup.binary is not None or setup.joined is not None:
+        return f"compare-{setup.autopilot}.toml"
+    return f"demo-{setup.autopilot}{'-position' if trial.conditions.wind else ''}.toml"
 
 
 def _with_delay(control: dict[str, Any], delay_s: float) -> dict[str, Any]:

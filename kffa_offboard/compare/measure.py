@@ -64,6 +64,21 @@ class LoadFigures:
 
 
 @dataclass(frozen=True)
+class PlaceFigures:
+    """How well the place was held: horizontal distance from the mean place before the pick-up, m.
+
+    Attributes
+    ----------
+    hover_rms_m : in the 5 s before the pick-up
+    pickup_peak_m, drop_peak_m : largest, in the 5 s after each
+    """
+
+    hover_rms_m: float
+    pickup_peak_m: float
+    drop_peak_m: float
+
+
+@dataclass(frozen=True)
 class StepFigures:
     """A step of an angle, measured from the moment when the reference begins to move.
 
@@ -114,6 +129,20 @@ def measure_load(truth: Truth) -> LoadFigures:
         tilt_peak_deg=float(np.degrees(tilt[after].max())),
         pickup_s=figures.pickup_s,
         drop_s=figures.drop_s,
+    )
+
+
+def measure_place(truth: Truth, load: LoadFigures) -> PlaceFigures:
+    """Measure how the place was held in a flight whose height `load` has measured."""
+    before, picked_up, dropped = (
+        _during(truth, start_s, start_s + WINDOW_S)
+        for start_s in (load.pickup_s - WINDOW_S, load.pickup_s, load.drop_s)
+    )
+    away = np.hypot(truth.x - truth.x[before].mean(), truth.y - truth.y[before].mean())
+    return PlaceFigures(
+        hover_rms_m=float(np.sqrt(np.mean(away[before] ** 2))),
+        pickup_peak_m=float(away[picked_up].max()),
+        drop_peak_m=float(away[dropped].max()),
     )
 
 

@@ -50,6 +50,7 @@ class Conditions:
     height_source : what the autopilot's own estimate takes its height from: "default" is the firmware's own
         choice (PX4 the satellite fixes, ArduCopter the barometer); the others are for PX4, which is set to
         them, and a range finder is fitted where it is the source
+    wind : it blows in gusts, and the daemon holds the place, too
     """
 
     load_kg: float = 5.0
@@ -58,6 +59,7 @@ class Conditions:
     delay_s: float = NORMAL_DELAY_S
     seed: int = 0
     height_source: HeightSource = "default"
+    wind: bool = False
 
 
 def head_start_s(autopilot: AutopilotName, conditions: Conditions) -> float:
@@ -186,6 +188,7 @@ def _harder(autopilot: AutopilotName, conditions: Conditions) -> list[Trial]:
         "offset": ("5 cm off centre", replace(conditions, offset_m=0.05)),
         "50hz": ("50 Hz telemetry", replace(conditions, rate_hz=50.0)),
         "delay": ("60 ms link delay", replace(conditions, delay_s=0.06)),
+        "wind": ("gusty wind", replace(conditions, wind=True)),
     }
     rows = [
         Trial(f"kffa-ladrc-{key}", f"KFFA-LADRC, {label}", "kffa-ladrc", output, conditions=changed)
@@ -193,7 +196,7 @@ def _harder(autopilot: AutopilotName, conditions: Conditions) -> list[Trial]:
     ]
     rows += [
         Trial(f"native-stock-{key}", f"{mode}, stock gains, {harder[key][0]}", "native", conditions=changed)
-        for key in ("2kg", "6.73kg", "offset")
+        for key in ("2kg", "6.73kg", "offset", "wind")
         for changed in [harder[key][1]]
     ]
     if autopilot == "px4":

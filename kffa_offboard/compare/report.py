@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import base64
+import math
 import shlex
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -23,8 +24,17 @@ from kffa_offboard.compare.plan import (
     Conditions,
 )
 from kffa_offboard.compare.results import Result, Verdict
-from kffa_offboard.compare.table import LOAD_HEADER, STEP_HEADER, firmware_name, load_row, step_rows
-from kffa_offboard.config import bundled
+from kffa_offboard.compare.simulation import WINDY
+from kffa_offboard.compare.table import (
+    LOAD_HEADER,
+    PLACE_HEADER,
+    STEP_HEADER,
+    firmware_name,
+    load_row,
+    place_row,
+    step_rows,
+)
+from kffa_offboard.config import bundled, read_toml
 
 _STYLE = """
 :root { --ink: #1d232b; --soft: #5b6673; --line: #dfe3e8; --tint: #f6f7f9; }
@@ -66,6 +76,8 @@ def report(
     """The page as HTML."""
     parts = [_head(plan, results), "<h2>Pick-up and drop</h2>", _load_table(results)]
     parts += [_figure(drawing) for drawing in drawings[:1]]
+    if any(result.place is not None for result in results):
+        parts += ["<h2>Place in a gusty wind</h2>", _place_table(results)]
     if any(result.steps for result in results):
         parts += ["<h2>Steps of attitude</h2>", _step_table(results)]
     parts += [_figure(drawing) for drawing in drawings[1:]]
@@ -140,6 +152,17 @@ def _load_table(results: Sequence[Result]) -> str:
         "estimate, all that the controller can see.</p>"
     )
     return _table(LOAD_HEADER, rows) + note
+
+
+def _place_table(results: Sequence[Result]) -> str:
+    rows = [("", place_row(result)) for result in results if result.place is not None]
+    wind = read_toml(bundled(WINDY))["wind"]
+    note = (
+        '<p class="note">Horizontal distance of the true place from its mean in the 5 s before the pick-up, in these 5 s and in the '
+        f"5 s after each event. The wind blows with {math.hypot(*wind['mean_m_s']):g} m/s and gusts of "
+        f"{wind['gust_std_m_s']:g} m/s (standard deviation of each axis). The daemon has its [position] on.</p>"
+    )
+    return _table(PLACE_HEADER, rows) + note
 
 
 def _step_table(results: Sequence[Result]) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 
 from kffa_offboard.compare.estimate import EstimateFigures
 from kffa_offboard.compare.flight import Flown
-from kffa_offboard.compare.measure import LoadFigures, StepFigures
+from kffa_offboard.compare.measure import LoadFigures, PlaceFigures, StepFigures
 from kffa_offboard.compare.plan import DEFAULT_OUTPUT, HEIGHT_ENDINGS, AutopilotName, ComparePlan, Trial
 from kffa_offboard.trials.metrics import Truth
 
@@ -24,6 +24,7 @@ class Result:
     flown: Flown | None = None
     truth: Truth | None = None
     load: LoadFigures | None = None
+    place: PlaceFigures | None = None
     steps: tuple[StepFigures, ...] = ()
     estimate: EstimateFigures | None = None
     failure: str | None = None
@@ -164,6 +165,7 @@ def as_json(plan: ComparePlan, results: Sequence[Result]) -> dict[str, Any]:
                 "cut": result.cut,
                 "remark": None if result.flown is None else result.flown.remark,
                 "load": None if result.load is None else asdict(result.load),
+                "place": None if result.place is None else asdict(result.place),
                 "estimate": None if result.estimate is None else asdict(result.estimate),
                 "steps": [asdict(step) for step in result.steps],
             }

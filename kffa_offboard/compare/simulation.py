@@ -28,6 +28,9 @@ SIMULATED_LIMIT_S = 1000.0
 PATIENCE_S = 60.0
 """Wall time that the imitation waits for its pilot, and the daemon for a barrier, on a busy machine."""
 
+WINDY = "demo-px4-position-vehicle.toml"
+"""Its wind blows in the rows with wind, and its drag lets the vehicle feel it."""
+
 FIRMWARE_PATIENCE_S = 2.0
 """How long a firmware may take to end when asked: it has nothing to lose."""
 
@@ -194,23 +197,35 @@ def _real(setup: Setup, trial: Trial, truth: Path, binary: Path, stack: contextl
 def _physics(
     setup: Setup, trial: Trial, truth: Path, document: dict[str, Any], stack: contextlib.ExitStack
 ) -> Physics:
-    """The simulator's process with the load of this trial."""
+    """The simulator's process with the load and the wind of this trial."""
+    return start_physics(
+        setup.file(trial, ""),
+        truth,
+        physics_document(document, trial),
+        stack,
+        ("--duration", str(SIMULATED_LIMIT_S)),
+    )
+
+
+def physics_document(document: dict[str, Any], trial: Trial) -> dict[str, Any]:
+    """The simulator's configuration `document` with the load, the wind and the seed of this trial."""
     conditions = trial.conditions
     schedule = [{"time_s": PICKUP_S, "mass_kg": conditions.load_kg}]
     if trial.course == "load":
         schedule.append({"time_s": DROP_S, "mass_kg": 0.0})
     elif trial.course == "attitude":
         schedule = []
+    if conditions.wind:
+        windy = _read(bundled(WINDY))
+        drag = {"drag_n_s_m": windy["vehicle"]["drag_n_s_m"]}
+        document = merged(document, {"wind": windy["wind"], "vehicle": drag})
     down = document["payload"]["offset_m"][2]
     payload = {
         "schedule": schedule,
         "gripper_mass_kg": conditions.load_kg,
         "offset_m": [conditions.offset_m, 0.0, down],
     }
-    document = merged(document, {"payload": payload, "vehicle": {"seed": conditions.seed}})
-    return start_physics(
-        setup.file(trial, ""), truth, document, stack, ("--duration", str(SIMULATED_LIMIT_S))
-    )
+    return merged(document, {"payload": payload, "vehicle": {"seed": conditions.seed}})
 
 
 def start_physics(

@@ -24,6 +24,7 @@ LOAD_HEADER = (
     "estimate: IAE [m s]",
     "seen: peak [m]",
 )
+PLACE_HEADER = ("", "hover rms [m]", "pick-up peak [m]", "drop peak [m]")
 STEP_HEADER = ("", "channel", "overshoot [%]", "settling [s]", "turns")
 _DASH = "—"
 _HEIGHTS = 7  # of the columns of LOAD_HEADER
@@ -69,6 +70,14 @@ def _estimate(result: Result) -> tuple[str, str]:
     )
 
 
+def place_row(result: Result) -> tuple[str, ...]:
+    """One row under `PLACE_HEADER`, of a result that has such figures."""
+    place = result.place
+    assert place is not None
+    figures = (place.hover_rms_m, place.pickup_peak_m, place.drop_peak_m)
+    return (result.trial.label, *(f"{figure:.3f}" for figure in figures))
+
+
 def step_rows(result: Result) -> list[tuple[str, ...]]:
     """Rows under `STEP_HEADER`, one for each step."""
     return [
@@ -88,14 +97,16 @@ def _seconds(value: float | None) -> str:
 
 
 def tables(plan: ComparePlan, results: Sequence[Result], verdicts: Sequence[Verdict]) -> list[Table]:
-    """For the terminal: heights, hover and tilt, steps, targets; each fits into 80 columns."""
+    """For the terminal: heights, hover and tilt, place, steps, targets; each fits into 80 columns."""
     heights = Table(title=f"{firmware_name(plan, results)}: {plan.conditions.load_kg:g} kg on 10 kg")
     hover = Table(title="Hover, tilt, and the autopilot's estimate of height")
+    place = Table(title="Horizontal distance from the place before the pick-up")
     steps = Table(title="Steps of attitude")
     targets = Table("target", "measured", "", title="Targets")
     for header, table in (
         (LOAD_HEADER[:_HEIGHTS], heights),
         (LOAD_HEADER[:1] + LOAD_HEADER[_HEIGHTS:], hover),
+        (PLACE_HEADER, place),
         (STEP_HEADER, steps),
     ):
         for k, name in enumerate(header):
@@ -106,8 +117,10 @@ def tables(plan: ComparePlan, results: Sequence[Result], verdicts: Sequence[Verd
             row = load_row(result)
             heights.add_row(*row[:_HEIGHTS])
             hover.add_row(row[0], *row[_HEIGHTS:])
+        if result.place is not None:
+            place.add_row(*place_row(result))
         for step in step_rows(result):
             steps.add_row(*step)
     for verdict in verdicts:
         targets.add_row(verdict.target, verdict.measured, "met" if verdict.holds else "not met")
-    return [table for table in (heights, hover, steps, targets) if table.row_count]
+    return [table for table in (heights, hover, place, steps, targets) if table.row_count]

@@ -14,22 +14,27 @@ from kffa_offboard.cli import main
 COMPARE = [sys.executable, "-m", "kffa_offboard", "compare"]
 
 
-@pytest.mark.timeout(400)  # two flights of a minute each in lock-step: a dozen seconds on a quiet machine
+@pytest.mark.timeout(400)  # three flights of a minute each in lock-step: a dozen seconds on a quiet machine
 def test_the_imitation_flies_both_ways_and_the_page_holds_table_and_figure(tmp_path: Path) -> None:
     out = tmp_path / "out"
+    only = [word for name in ("native-stock", "kffa-ladrc", "kffa-ladrc-wind") for word in ("--only", name)]
     ended = subprocess.run(
-        [*COMPARE, "--only", "native-stock", "--only", "kffa-ladrc", "--json", "--out", str(out)],
+        [*COMPARE, "--full", *only, "--json", "--out", str(out)],
         capture_output=True,
         text=True,
         timeout=390,
     )
     assert ended.returncode == 0, ended.stderr
     results = json.loads(ended.stdout.splitlines()[-1])
-    stock, ours = (trial["load"] for trial in results["trials"])
+    stock, ours, _ = (trial["load"] for trial in results["trials"])
     for event in ("pickup", "drop"):
         assert stock[event]["peak_m"] > 5.0 * ours[event]["peak_m"]
         assert stock[event]["iae_m_s"] > 5.0 * ours[event]["iae_m_s"]
     assert ours["level_rms_deg"] < 0.3
+    *calm, windy = (trial["place"] for trial in results["trials"])
+    assert calm == [None, None]
+    assert windy["hover_rms_m"] < 0.05
+    assert max(windy["pickup_peak_m"], windy["drop_peak_m"]) < 0.15
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "data:image/png;base64," in page
     assert f"{ours['pickup']['peak_m']:.3f}" in page

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from kffa_offboard.compare.course import flown_steps
-from kffa_offboard.compare.measure import FlownStep, measure_load, measure_steps
+from kffa_offboard.compare.measure import FlownStep, measure_load, measure_place, measure_steps
 from kffa_offboard.flightlog.signals import SignalTable
 from kffa_offboard.trials.metrics import FlightFailed, Truth
 
@@ -53,6 +53,17 @@ def test_tilt_after_the_pick_up_is_seen_and_tilt_before_is_level_rms() -> None:
     figures = measure_load(truth(hover(5.0), roll=roll))
     assert figures.tilt_peak_deg == pytest.approx(4.0)
     assert figures.level_rms_deg == pytest.approx(0.1 / math.sqrt(2.0), rel=0.01)
+
+
+def test_a_place_is_measured_from_where_the_vehicle_stood_before_the_pick_up() -> None:
+    sway = 0.1 * np.sin(2.0 * math.pi * TIME)
+    north = 1.0 + np.where((TIME >= PICKUP) & (TIME < PICKUP + 1.0), 0.3, sway * (TIME < PICKUP))
+    west = -2.0 + np.where((TIME >= DROP + 1.0) & (TIME < DROP + 2.0), 0.4, 0.0)
+    flight = truth(hover(5.0), x=north, y=west)
+    place = measure_place(flight, measure_load(flight))
+    assert place.hover_rms_m == pytest.approx(0.1 / math.sqrt(2.0), rel=0.01)
+    assert place.pickup_peak_m == pytest.approx(0.3)
+    assert place.drop_peak_m == pytest.approx(0.4)
 
 
 def log(reference: np.ndarray) -> SignalTable:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
-from kffa_offboard.compare.measure import LoadFigures
+from kffa_offboard.compare.measure import LoadFigures, PlaceFigures
 from kffa_offboard.compare.plan import ComparePlan, Conditions, Join, trials
 from kffa_offboard.compare.report import report
 from kffa_offboard.compare.results import Result
@@ -55,6 +55,22 @@ def test_the_command_on_the_page_repeats_every_option_that_changes_figures() -> 
     assert "--join udpin:127.0.0.1:14550 --truth truth.csv --load 5 --lockstep" in joined
     assert "wait for each other (lock-step)" in joined
     assert "kept its own time" in page_of(replace(PLAN, join=replace(join, lockstep=False)))
+
+
+def test_how_the_place_was_held_in_wind_is_in_table_and_page() -> None:
+    plan = replace(PLAN, full=True, only=("kffa-ladrc", "kffa-ladrc-wind"))
+    place = PlaceFigures(0.036, 0.074, 0.075)
+    results = [
+        Result(trial, load=LOAD, place=place if trial.conditions.wind else None) for trial in trials(plan)
+    ]
+    (table,) = [table for table in tables(plan, results, []) if "Horizontal" in str(table.title)]
+    assert table.row_count == 1
+    out = StringIO()
+    Console(file=out, width=80).print(table)
+    page = report(plan, results, [], [])
+    assert all(figure in out.getvalue() and figure in page for figure in ("0.036", "0.074", "0.075"))
+    assert "blows with 5 m/s and gusts of 1.5 m/s" in page
+    assert "Place in a gusty wind" not in page_of(PLAN)
 
 
 def test_wide_tables_scroll_by_themselves_on_a_narrow_screen() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -20,9 +21,9 @@ from kffa_offboard.compare.plan import (
     head_start_s,
     trials,
 )
-from kffa_offboard.compare.simulation import Setup, Simulation
+from kffa_offboard.compare.simulation import Setup, Simulation, physics_document
 from kffa_offboard.compare.toml_text import merged, toml_text
-from kffa_offboard.config import bundled, load
+from kffa_offboard.config import bundled, load, read_toml
 from kffa_offboard.config_control import ControlTable
 from sim_vehicle.config import build
 
@@ -70,6 +71,27 @@ def test_over_a_slower_link_the_law_looks_as_much_further_ahead(autopilot: str, 
         if trial.name in ("kffa-ladrc", "kffa-ladrc-delay")
     )
     assert slow == pytest.approx(usual + 0.05)
+
+
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_in_the_rows_with_wind_it_blows_and_only_the_daemon_of_these_holds_the_place(
+    autopilot: str, tmp_path: Path
+) -> None:
+    wanted = plan(autopilot)
+    setup = Setup(wanted.autopilot, Path("firmware"), tmp_path)
+    running = Simulation("udpout:127.0.0.1:9", 21, tmp_path / "truth.csv", 0.0, ())
+    for trial in trials(wanted):
+        document = physics_document(read_toml(bundled("px4-hil-vehicle.toml")), trial)
+        vehicle, windy = build(document, "test"), trial.name.endswith("-wind")
+        assert math.hypot(*vehicle.wind.mean_m_s) == (5.0 if windy else 0.0)
+        assert (vehicle.wind.gust_std_m_s, vehicle.vehicle.drag_n_s_m) == (
+            (1.5, 0.6) if windy else (0.0, 0.15)
+        )
+        if not trial.native:
+            daemon = daemon_document(setup, trial, running)
+            assert daemon["position"]["enabled"] == windy
+            late = 0.05 if trial.name.endswith("-delay") else 0.0
+            assert daemon["position"]["delay_s"] == pytest.approx(0.1 + late)
 
 
 def test_the_measured_steps_are_those_that_are_flown() -> None:
