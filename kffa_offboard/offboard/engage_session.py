@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from kffa_offboard.offboard import admission, events, parameters, sequence, telemetry
-from kffa_offboard.offboard.events import ModeKind, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.events import ModeKind, SetMode, Severity
 from kffa_offboard.offboard.flight import Phase, begin_flight, start_scenario
 from kffa_offboard.offboard.loop import forget_sent
 from kffa_offboard.offboard.rivals import forbids
@@ -97,10 +97,7 @@ class EngageSession(Session):
         if step.takeover is not None:
             self._take_over(step.takeover)
         elif step.failure is not None:
-            if step.engagement.arm_asked:
-                self._emit(SetArmed(False))  # so that a late answer does not leave it armed
-            self._let_go(State.READY)
-            self._say(Severity.WARNING, f"not engaged: {step.failure}")
+            self._give_up_engaging(time_us, step.failure)
         elif step.complete:
             assert self._known.heartbeat is not None and self._flight is not None
             self._armed_here = step.engagement.arm_asked
@@ -111,6 +108,16 @@ class EngageSession(Session):
             self._say(Severity.NOTICE, "engaged")
         elif step.engagement.phase is EngagePhase.PERSON and not was_waiting:
             self._say(Severity.WARNING, "flies as soon as a person arms")
+
+    def _give_up_engaging(self, time_us: int, failure: str) -> None:
+        """It did not come to that; what may still arm is disarmed first, and the daemon stays at hand."""
+        assert self._engagement is not None
+        self._say(Severity.WARNING, f"not engaged: {failure}")
+        if not self._engagement.arm_asked:
+            self._let_go(State.READY)
+            return
+        self._stay = self._armed_here = True
+        self._release_on_ground(time_us, Finished(False, failure))
 
     def _follow_heartbeat(self, time_us: int, event: events.HeartbeatReceived) -> None:
         """What a heartbeat means for the present state."""
@@ -128,7 +135,8 @@ class EngageSession(Session):
                 elif not offboard or event.custom_mode != self._offboard_mode:
                     self._take_over(f"mode {event.mode_name}")
             case State.RELEASING:
-                if not event.armed and not self._may_still_arm(event):
+                open_request = self._may_still_arm(event)
+                if not (event.armed or open_request):
                     self._finish(self._outcome)
                 elif not (offboard or (self._lands_to_disarm and event.mode is ModeKind.LAND)):
                     self._finish(REFUSED if self._lands_to_disarm else self._outcome)
@@ -146,7 +154,7 @@ class EngageSession(Session):
         index, scenario = flight.scenario.segment_index, self.settings.scenario
         landing = index < len(scenario) and isinstance(scenario[index], Land)
         if flight.phase is Phase.TOUCHDOWN or (landing and flight.seen_in_air and self._known.on_ground):
-            self._finish(Finished(flight.failure is None, flight.failure or "scenario done, landed"))
+            self._finish(self._landed)
         else:
             self._take_over("disarmed")
 

@@ -21,6 +21,7 @@ from kffa_offboard.offboard.reference import (
     step_scenario,
 )
 from kffa_offboard.offboard.settings import ServiceSettings
+from kffa_offboard.offboard.state import Finished
 
 
 class Phase(Enum):
@@ -51,7 +52,7 @@ class FlightState(NamedTuple):
     seen_in_air : the autopilot has reported "in the air" during this flight
     slow_since_us : since when everything looks like touch-down
     touchdown_thrust : where the final ramp began
-    failure : why this flight is given up, None while all is well
+    outcome : how a flight whose take-off was abandoned has ended, None for as its scenario says
     """
 
     scenario: ScenarioState
@@ -61,7 +62,7 @@ class FlightState(NamedTuple):
     seen_in_air: bool = False
     slow_since_us: int | None = None
     touchdown_thrust: float = 0.0
-    failure: str | None = None
+    outcome: Finished | None = None
 
 
 class FlightSample(NamedTuple):
@@ -125,9 +126,9 @@ def hold_here(state: FlightState, altitude: float, offset: Offset) -> FlightStat
     return state._replace(scenario=state.scenario._replace(hold_altitude=altitude, offset=offset))
 
 
-def abandon_takeoff(state: FlightState, time_us: int, thrust: float, failure: str | None) -> FlightState:
-    """Take thrust back from `thrust` to zero; the flight then ends as landed."""
-    return state._replace(phase=Phase.TOUCHDOWN, phase_us=time_us, touchdown_thrust=thrust, failure=failure)
+def abandon_takeoff(state: FlightState, time_us: int, thrust: float, outcome: Finished) -> FlightState:
+    """Take thrust back from `thrust` to zero; the flight then ends on the ground, with `outcome`."""
+    return state._replace(phase=Phase.TOUCHDOWN, phase_us=time_us, touchdown_thrust=thrust, outcome=outcome)
 
 
 def step_flight(
@@ -194,7 +195,8 @@ def _step_ramp(
         state = state._replace(scenario=scenario, phase=Phase.AIR, phase_us=sample.time_us)
         return state, Directive(_level(state), align=True)
     if elapsed > flight.liftoff_timeout_s:
-        state = abandon_takeoff(state, sample.time_us, thrust, f"no lift-off at thrust {thrust:.2f}")
+        outcome = Finished(False, f"no lift-off at thrust {thrust:.2f}")
+        state = abandon_takeoff(state, sample.time_us, thrust, outcome)
     return state, Directive(_level(state), thrust, align=True)
 
 
@@ -242,4 +244,4 @@ def _step_touchdown(
     left = 1.0 - (sample.time_us - state.phase_us) * 1e-6 / settings.flight.touchdown_ramp_s
     thrust = max(0.0, state.touchdown_thrust * left)
     ending = Ending.LANDED if thrust <= 0.0 else None
-    return state, Directive(_level(state), thrust, align=True, ending=ending, reason=state.failure)
+    return state, Directive(_level(state), thrust, align=True, ending=ending)

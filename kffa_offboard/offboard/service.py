@@ -336,8 +336,8 @@ class Service(ControlSession):
                     self._release_granted(time_us, self._outcome)
         elif self._retry is not None and _answers(action, self._retry.request):
             self._retry = accept_retry(self._retry, time_us)
-            if self.state is State.FAILSAFE:
-                self._finish(self._outcome)
+            if self.state is State.FAILSAFE and isinstance(self._retry.request, SetMode):
+                self._finish(self._outcome)  # that it is disarmed a heartbeat has to show
 
 
 def _answers(action: str, request: SetMode | SetArmed) -> bool:

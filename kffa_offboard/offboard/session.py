@@ -25,7 +25,7 @@ from kffa_offboard.offboard.loop import LoopState, forget_sent
 from kffa_offboard.offboard.rivals import Rivals
 from kffa_offboard.offboard.sequence import Engagement, EngagePhase, Retry, begin_retry
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.state import IDLE, REFUSED, SENDING, UNCONFIRMED, Finished, State
+from kffa_offboard.offboard.state import IDLE, LANDED, REFUSED, SENDING, UNCONFIRMED, Finished, State
 from kffa_offboard.offboard.trust import Trust
 
 
@@ -173,7 +173,7 @@ class Session:
             elif self._flight.phase is Phase.RAMP:
                 sent = self._loop.sent if self._loop is not None else None
                 thrust = sent.thrust if sent is not None else 0.0
-                self._flight = abandon_takeoff(self._flight, time_us, thrust, None)
+                self._flight = abandon_takeoff(self._flight, time_us, thrust, outcome)
 
     def _release_granted(self, time_us: int, outcome: Finished) -> None:
         """OFFBOARD is granted, or was while the release waited for that: there is something to give back."""
@@ -184,11 +184,17 @@ class Session:
         else:
             self._release_in_air(time_us, outcome)
 
+    @property
+    def _landed(self) -> Finished:
+        """How a flight ends that is on the ground."""
+        assert self._flight is not None
+        return self._flight.outcome or LANDED
+
     def _end_flight(self, time_us: int, ending: Ending, reason: str | None) -> None:
         """The scenario is over."""
         match ending:
             case Ending.LANDED:
-                self._release_on_ground(time_us, Finished(reason is None, reason or "scenario done, landed"))
+                self._release_on_ground(time_us, self._landed)
             case Ending.IN_AIR:
                 self._release_in_air(time_us, Finished(True, "scenario done, in the air"))
             case Ending.FAULT:
@@ -249,24 +255,34 @@ class Session:
         elif self._retry.undoes_open:
             self._say(Severity.CRITICAL, "may still arm: keep away")
             self._finish(outcome if self.state is State.FAILSAFE else UNCONFIRMED)
-        elif self.state is State.FAILSAFE or accepted:
+        elif accepted:
             self._finish(outcome)
         elif isinstance(request, SetArmed):
             self._say(Severity.CRITICAL, "still armed on the ground: keep away")
-            land = SetMode(ModeKind.LAND)
-            retry = begin_retry(land, time_us, timing.hold_retry_s, timing.disarm_timeout_s)
-            self._begin_release(time_us, retry, outcome)
+            self._ask_to_land(time_us)
+        elif self.state is State.FAILSAFE:
+            self._finish(outcome)
         else:
             reason = f"{request.mode.name} not confirmed; setpoints stopped"
             self._say_farewell()
             self._finish(Finished(False, reason))
+
+    def _ask_to_land(self, time_us: int) -> None:
+        """Let LAND mode disarm; in failsafe, which sends no setpoints, too."""
+        timing, land = self.settings.sequence, SetMode(ModeKind.LAND)
+        if self.state is State.FAILSAFE:
+            self._retry = begin_retry(land, time_us, timing.hold_retry_s, timing.hold_timeout_s)
+            self._run_release(time_us)
+            return
+        retry = begin_retry(land, time_us, timing.hold_retry_s, timing.disarm_timeout_s)
+        self._begin_release(time_us, retry, self._outcome)
 
     def _give_up(self, time_us: int) -> None:
         """There is no more time for releasing: what would be said at its end is said now."""
         self._stay = False  # the process ends, whatever was asked for since the stop
         if self.finished is None and self.state is State.ENGAGED:
             self._say_farewell()
-            self._release_on_ground(time_us, self._outcome)  # only a thrust ramp outlasts the release
+            self._release_on_ground(time_us, self._landed)  # only a thrust ramp outlasts the release
         if self.finished is None and self._retry is not None:
             self._release_expired(time_us)
         if self.finished is None:

@@ -29,5 +29,6 @@ class Finished:
     reason: str
 
 
+LANDED = Finished(True, "scenario done, landed")
 REFUSED = Finished(False, "disarming was refused")
 UNCONFIRMED = Finished(False, "disarming was not confirmed")

@@ -179,7 +179,24 @@ def test_arming_is_asked_for_every_second_and_given_up_in_the_end(fake):
     assert np.diff(times) == pytest.approx(np.ones(5))
     assert flight.texts.count("arm refused: DENIED") == 1
     assert "not engaged: not armed in 6 s" in flight.texts
-    assert seconds_of(flight, SetArmed(False)) == pytest.approx([times[0] + 6.0])
+    undone = seconds_of(flight, SetArmed(False))
+    assert undone == pytest.approx(times[0] + 6.0 + 0.5 * np.arange(20)), "disarming was refused, too"
+    assert "may still arm: keep away" in flight.texts
+    assert flight.service.finished is None, "it may be engaged again"
+
+
+def test_arming_that_takes_effect_after_it_was_given_up_is_undone(fake):
+    """On a link that loses the first request to disarm, and every answer."""
+    flight = fake.Lockstep(fake.settings(), fake.Vehicle(grants_arming=False, answers=False))
+    flight.run_to(State.ENGAGING).run_to(State.RELEASING, 40.0)
+    assert "not engaged: not armed in 30 s" in flight.texts
+    flight.vehicle.armed = True
+    flight.give(flight.vehicle.heartbeat())
+    flight.vehicle.grants_arming = True
+    flight.run_to(State.READY, 2.1)
+    assert not flight.vehicle.armed
+    assert not any(target.thrust for _, target in flight.sent(AttitudeTarget))
+    assert flight.service.finished is None
 
 
 def test_an_accepted_command_is_not_repeated(fake):

@@ -397,13 +397,71 @@ def test_arming_that_stays_open_is_said_at_the_end(arming_open):
     assert arming_open.service.finished == Finished(False, "disarming was not confirmed")
 
 
+def test_arming_that_took_effect_and_cannot_be_undone_is_left_in_land_mode_with_a_warning(arming_open):
+    arming_open.give(events.ReleaseRequested("by hand"))
+    arming_open.vehicle.armed = True
+    arming_open.run(11.0)
+    assert "still armed on the ground: keep away" in arming_open.texts
+    assert arming_open.vehicle.mode is ModeKind.LAND
+
+
 def test_releasing_in_the_thrust_ramp_takes_thrust_back(fake):
     flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
     flight.run(3.0, lambda: thrusts(flight)[-1] > 0.2)
     flight.give(events.ReleaseRequested("by hand"))
     flight.run(2.0)
     assert thrusts(flight).max() < 0.25
-    assert not flight.vehicle.armed and flight.service.finished.successful
+    assert not flight.vehicle.armed
+    assert flight.service.finished == Finished(True, "by hand")
+
+
+def test_an_autopilot_that_disarms_while_thrust_is_taken_back_ends_the_release(fake):
+    flight = fake.Lockstep(fake.settings(flight=FlightSettings(touchdown_ramp_s=5.0)))
+    flight.run_to(State.ENGAGED).run(3.0, lambda: thrusts(flight)[-1] > 0.2)
+    flight.give(events.ReleaseRequested("by hand"))
+    flight.vehicle.armed = False
+    flight.run(1.1)
+    assert flight.service.finished == Finished(True, "by hand")
+
+
+def failsafe_on_the_ground(fake):
+    """Engaged, armed by the daemon and before take-off; then attitude stays away."""
+    flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
+    assert flight.vehicle.grounded and flight.vehicle.armed
+    flight.mute = {events.AttitudeReceived}
+    return flight
+
+
+@pytest.mark.parametrize("answers", [False, True])
+def test_a_failsafe_on_the_ground_whose_disarming_is_refused_says_so_and_asks_for_land_mode(fake, answers):
+    flight = failsafe_on_the_ground(fake)
+    flight.vehicle.grants_arming, flight.vehicle.answers = False, answers
+    flight.run_to(State.FAILSAFE, 0.3)
+    last = len(flight.sent(AttitudeTarget))
+    flight.run(2.5)
+    assert "still armed on the ground: keep away" in flight.texts
+    assert flight.sent(SetMode)[-1][1] == LAND
+    flight.run(2.1)
+    assert len(flight.sent(AttitudeTarget)) == last, "in failsafe there are no setpoints"
+    assert flight.service.finished == Finished(False, "failsafe: no attitude for 0.25 s")
+
+
+def test_a_failsafe_on_the_ground_does_not_end_with_an_answer_that_nothing_shows(fake):
+    """That to the request to arm, for instance, which comes late."""
+    flight = failsafe_on_the_ground(fake)
+    flight.vehicle.set_armed = lambda time_us, armed: flight.vehicle.answer("disarm", True)
+    flight.run_to(State.FAILSAFE, 0.3)
+    flight.run(2.5)
+    assert "still armed on the ground: keep away" in flight.texts
+
+
+def test_a_failsafe_on_the_ground_ends_when_a_heartbeat_shows_it_disarmed(fake):
+    flight = failsafe_on_the_ground(fake)
+    flight.run_to(State.FAILSAFE, 0.3)
+    flight.run(1.1)
+    assert not flight.vehicle.armed
+    assert flight.service.finished == Finished(False, "failsafe: no attitude for 0.25 s")
+    assert "still armed on the ground: keep away" not in flight.texts
 
 
 @pytest.mark.parametrize("seconds", [0.1, 0.5])
