@@ -39,7 +39,13 @@ READ, WRITE, RESET = 0.0, 1.0, 2.0
 """Parameter 1 of MAV_CMD_PREFLIGHT_STORAGE (PREFLIGHT_STORAGE_PARAMETER_ACTION)."""
 
 REPEAT_WINDOW_US = 5_000_000
-"""A repetition (confirmation > 0) of the last command is answered again, not done again, for so long."""
+"""A repetition (confirmation > 0) is answered again, not done again, so long after the one before it."""
+
+DUPLICATE_WINDOW_US = 1_000_000
+"""The same for a frame that comes twice, with one sequence number: routers have more than one way."""
+
+REMEMBERED = 64
+"""Commands whose answers are remembered, of all senders."""
 
 QUESTIONS = (mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAV_CMD_GET_MESSAGE_INTERVAL)
 """Commands that change nothing, which everybody may send."""
@@ -56,13 +62,17 @@ _SWITCH: dict[float, Event] = {
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A command as either message carries it, and who sent it. `confirmation` counts repetitions."""
+    """A command as either message carries it, and who sent it.
+
+    `confirmation` counts repetitions, `sequence` the frames of the sender.
+    """
 
     command: int
     parameters: tuple[float, ...]
     system: int
     component: int
     confirmation: int = 0
+    sequence: int = 0
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +90,8 @@ def read_request(message: Message) -> Request:
     last = (message.param5, message.param6, message.param7) if long else (message.x, message.y, message.z)
     parameters = (message.param1, message.param2, message.param3, message.param4, *map(float, last))
     sender = message.get_srcSystem(), message.get_srcComponent()
-    return Request(message.command, parameters, *sender, message.confirmation if long else 0)
+    confirmation = message.confirmation if long else 0
+    return Request(message.command, parameters, *sender, confirmation, message.get_seq())
 
 
 def acknowledgement(request: Request, result: int) -> Message:
@@ -107,7 +118,7 @@ def autopilot_version() -> Message:
 
 
 class CommandServer:
-    """Carries out commands and remembers the last answer, for repetitions."""
+    """Carries out commands and remembers its answers, for repetitions."""
 
     def __init__(self, route: Route, parameters: ParameterServer, streams: SignalStreams) -> None:
         self._route = route
@@ -115,7 +126,7 @@ class CommandServer:
         self._streams = streams
         self._state = OwnHeartbeat("standby")
         self._pending: Request | None = None
-        self._last: tuple[int, Request, int] | None = None
+        self._answered: dict[str, tuple[int, int, int]] = {}  # when, its sequence number, the result
         self._handlers: dict[int, Callable[[Request], Answer]] = {
             mavlink.MAV_CMD_NAV_GUIDED_ENABLE: self._switch,
             mavlink.MAV_CMD_DO_GRIPPER: self._gripper,
@@ -147,17 +158,33 @@ class CommandServer:
             return None
         request = read_request(message)
         self._pending = request
-        if self._last is not None and request.confirmation > 0:
-            since_us, before, result = self._last
-            if _same(before, request) and time_us - since_us <= REPEAT_WINDOW_US:
-                return Answer(result)
-        if not allowed and request.command not in QUESTIONS:
-            self._last = (time_us, request, DENIED)
-            return Answer(DENIED)
-        handler = self._handlers.get(request.command)
-        answer = Answer(UNSUPPORTED) if handler is None else handler(request)
-        self._last = (time_us, request, answer.result)
+        result = self._result_before(time_us, request)
+        if result is not None:
+            answer = Answer(result)
+        elif not allowed and request.command not in QUESTIONS:
+            answer = Answer(DENIED)
+        else:
+            handler = self._handlers.get(request.command)
+            answer = Answer(UNSUPPORTED) if handler is None else handler(request)
+        self._remember(time_us, request, answer.result)
         return answer
+
+    def _result_before(self, time_us: int, request: Request) -> int | None:
+        """What was answered to the command that this one repeats; None if it is a new one."""
+        before_us, sequence, result = self._answered.get(_key(request), (0, -1, 0))
+        if sequence < 0:
+            return None
+        repeats = request.confirmation > 0 and time_us - before_us <= REPEAT_WINDOW_US
+        doubled = request.sequence == sequence and time_us - before_us <= DUPLICATE_WINDOW_US
+        return result if repeats or doubled else None
+
+    def _remember(self, time_us: int, request: Request, result: int) -> None:
+        """As the latest; beyond `REMEMBERED` the oldest is forgotten."""
+        key = _key(request)
+        self._answered.pop(key, None)
+        self._answered[key] = time_us, request.sequence, result
+        if len(self._answered) > REMEMBERED:
+            del self._answered[next(iter(self._answered))]
 
     def conclude(self, result: int) -> Message | None:
         """The acknowledgement, unless `note` has given it."""
@@ -166,8 +193,8 @@ class CommandServer:
     def _conclude(self, result: int) -> Message:
         assert self._pending is not None
         request, self._pending = self._pending, None
-        if self._last is not None:
-            self._last = (self._last[0], self._last[1], result)
+        when_us, sequence, _ = self._answered[_key(request)]
+        self._answered[_key(request)] = when_us, sequence, result
         return acknowledgement(request, result)
 
     # ------------------------------------------------------------------------- commands
@@ -227,9 +254,9 @@ class CommandServer:
         return _denied(f"PREFLIGHT_STORAGE {action:g}: 0 reads, 1 writes, 2 resets")
 
 
-def _same(before: Request, request: Request) -> bool:
-    """True for a repetition. Parameters that are not used are NaN with many senders, which equals nothing."""
-    return repr(replace(before, confirmation=0)) == repr(replace(request, confirmation=0))
+def _key(request: Request) -> str:
+    """The same for a repetition. Parameters that are not used are NaN with many senders: equal to nothing."""
+    return repr(replace(request, confirmation=0, sequence=0))
 
 
 def _denied(reason: str) -> Answer:

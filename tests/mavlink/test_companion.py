@@ -207,6 +207,47 @@ def test_a_repeated_command_is_answered_again_but_a_new_one_is_done(talk):
     assert [message.param2 for message in grippers] == [0.0, 1.0, 0.0]
 
 
+def test_a_repetition_is_known_whatever_others_have_asked_since(talk):
+    """Two ground stations: while one waits for its answer, the other one talks, too."""
+    engage(talk)
+    other = talk._scripted(254, 190)
+    talk.hear(other, command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_HEARTBEAT))
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_HEARTBEAT))
+    talk.hear(talk.autopilot, talk._scripted.heartbeat(custom_mode=3 << 16, armed=True))  # the pilot's mode
+    assert talk.session.service.state is State.READY
+    talk.hear(talk.ground, command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0, again=1))
+    assert talk.session.service.state is State.READY, "the pilot has it"
+    assert talk.sent("COMMAND_ACK")[-1].result == mavlink.MAV_RESULT_ACCEPTED
+    talk.hear(other, command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0))
+    assert talk.session.service.state is State.ENGAGING, "another one asks anew"
+
+
+def test_repetitions_three_seconds_apart_are_one_command(talk):
+    """QGroundControl repeats that often; all its answers are lost."""
+    for count in range(4):
+        talk.hear(talk.ground, command(mavlink.MAV_CMD_DO_GRIPPER, 1.0, 0.0, again=count))
+        talk.telemetry(3.0)
+    assert [answer.result for answer in talk.sent("COMMAND_ACK")] == [mavlink.MAV_RESULT_ACCEPTED] * 4
+    passed_on = [each for each in talk.sent("COMMAND_LONG") if each.command == mavlink.MAV_CMD_DO_GRIPPER]
+    assert len(passed_on) == 1
+
+
+@pytest.mark.parametrize("way", ["COMMAND_LONG", "COMMAND_INT"])
+def test_a_frame_that_comes_by_two_ways_is_one_command(talk, way):
+    release = command(mavlink.MAV_CMD_DO_GRIPPER, 1.0, 0.0)
+    if way == "COMMAND_INT":
+        asked = (245, 191, 0, mavlink.MAV_CMD_DO_GRIPPER, 0, 0, 1.0, 0.0, 0, 0, 0, 0, 0)
+        release = mavlink.MAVLink_command_int_message(*asked)
+    frame = talk.ground.pack(release)
+    for _ in range(2):
+        talk.session.handle(talk.time_us, talk._read(frame)[0])
+        talk.telemetry(0.2)
+    talk.hear(talk.ground, release)
+    assert [answer.result for answer in talk.sent("COMMAND_ACK")] == [mavlink.MAV_RESULT_ACCEPTED] * 3
+    passed_on = [each for each in talk.sent("COMMAND_LONG") if each.command == mavlink.MAV_CMD_DO_GRIPPER]
+    assert len(passed_on) == 2
+
+
 def test_a_repetition_is_known_by_parameters_that_are_not_used_too(talk):
     """MAVSDK and others fill them with NaN, which is not equal to itself."""
     release = (mavlink.MAV_CMD_DO_GRIPPER, 1.0, 0.0, *[math.nan] * 5)
