@@ -1,4 +1,8 @@
-"""Byte streams (TCP, serial): what they share. Frames may arrive in pieces and must not leave in pieces."""
+"""Byte streams (TCP, serial): what they share. Frames may arrive in pieces and must not leave in pieces.
+
+A line that is slower than our traffic makes frames wait. An old setpoint helps nobody: a new one takes the
+place of the one that waits, so that what the vehicle gets after a stall is one setpoint, the last.
+"""
 
 from __future__ import annotations
 
@@ -6,11 +10,16 @@ import select
 from abc import ABC, abstractmethod
 from collections.abc import Hashable
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from kffa_offboard.mavlink.transport import Clock, Datagram
 
 READ_SIZE = 4096
 UNSENT_LIMIT = 2048
-"""Bytes that may wait to be sent. Beyond it new frames are dropped: an old setpoint helps nobody."""
+"""Bytes that may wait to be sent. Beyond it new frames are dropped."""
+
+_SETPOINT = mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET.to_bytes(3, "little")
+_ID_IN_FRAME = slice(7, 10)  # of MAVLink 2
 
 
 class StreamLink(ABC):
@@ -22,7 +31,8 @@ class StreamLink(ABC):
         self.name = name
         self.trouble = ""
         self._clock = clock
-        self._unsent = bytearray()
+        self._begun = b""  # the rest of a frame
+        self._waiting: list[bytes] = []
         self._locked = False
         self._connection = 0  # numbers the connections: bytes of an old one are not continued
 
@@ -94,31 +104,45 @@ class StreamLink(ABC):
         return [Datagram(self._clock(), data, self._connection)]
 
     def send(self, data: bytes) -> bool:
-        """See `transport.Link`. What does not fit now leaves with the next call, whole frames only."""
+        """See `transport.Link`. What does not fit now leaves later: whole frames, at most one setpoint."""
         if not self._is_open():
             return False
         if self._unsent:
             self._flush()
             if not self._is_open():
                 return False
-        if len(self._unsent) + len(data) > UNSENT_LIMIT:
+        if data[_ID_IN_FRAME] == _SETPOINT:
+            self._waiting = [frame for frame in self._waiting if frame[_ID_IN_FRAME] != _SETPOINT]
+        if self._unsent + len(data) > UNSENT_LIMIT:
             self.trouble = "the line is too slow for this traffic, or nobody reads it"
             return False
-        self._unsent += data
+        self._waiting.append(data)
         self._flush()
         return self._is_open()
+
+    @property
+    def _unsent(self) -> int:
+        """Bytes that wait."""
+        return len(self._begun) + sum(map(len, self._waiting))
 
     def _flush(self) -> None:
         try:
             _, writable, _ = select.select([], [self._file_descriptor()], [], 0.0)
             if writable and self._unsent:
-                del self._unsent[: self._write(bytes(self._unsent))]
+                self._wrote(self._write(self._begun + b"".join(self._waiting)))
         except BlockingIOError:
             return
         except OSError as error:
             self._lost((error.strerror or str(error)).lower())
 
+    def _wrote(self, count: int) -> None:
+        """So many bytes are on their way; of a frame that they end in, the rest has to follow."""
+        while count > len(self._begun):
+            count -= len(self._begun)
+            self._begun = self._waiting.pop(0)
+        self._begun = self._begun[count:]
+
     def _start_connection(self) -> None:
         """Forget what belonged to the connection before."""
-        self._unsent.clear()
+        self._begun, self._waiting = b"", []
         self._connection += 1

@@ -16,8 +16,12 @@ from kffa_offboard.mavlink.udp import explain
 SEND_BUFFER = 16384
 """Bytes that the kernel may hold back; the default keeps minutes of setpoints for a stalled vehicle."""
 
-UNANSWERED_MS = 5000
-"""A connection that acknowledges nothing for that long is lost, although nobody closed it."""
+UNANSWERED_MS = 1000
+"""A connection that acknowledges nothing for that long is lost, although nobody closed it.
+
+What it holds is lost with it: setpoints that arrive later than PX4 waits for them (COM_OF_LOSS_T, 1 s) would
+bring it back to OFFBOARD, with nobody behind them.
+"""
 
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.2, 2.0
 """Between attempts to connect again: the first, twice as long each time, and no longer than that."""

@@ -9,6 +9,7 @@ import tty
 
 import pytest
 import serial
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink import serial_port, tcp
@@ -128,10 +129,10 @@ def test_a_vehicle_that_is_gone_is_called_again_in_growing_pauses(listener, monk
 
 
 def test_a_connection_on_which_nobody_answers_any_more_is_lost(connected):
-    """No cable, no power: nobody closes it. The kernel gives it up after 5 s of silence."""
+    """No cable, no power: nobody closes it. The kernel gives it up, and what was not sent, after 1 s."""
     link, _ = connected
     ours = link._socket
-    assert ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 5000
+    assert ours.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 1000
 
 
 def test_a_vehicle_that_does_not_read_costs_frames_and_never_time(connected, autopilot):
@@ -156,6 +157,33 @@ def test_what_did_not_fit_follows_when_there_is_room_and_frames_stay_whole(conne
         received += vehicle.recv(1 << 16)
         link.receive(0.0)
     assert bytes(received) == frame * sent
+
+
+def setpoint(time_ms):
+    quaternion = (1.0, 0.0, 0.0, 0.0)
+    return mavlink.MAVLink_set_attitude_target_message(time_ms, 1, 1, 128, quaternion, 0.0, 0.0, 0.0, 0.4)
+
+
+def after_a_stall(link, autopilot, read_some):
+    """The peer reads nothing while 5000 setpoints are sent; those that it then gets."""
+    for k in range(5000):
+        link.send(autopilot.pack(setpoint(k)))
+    parser, times_ms, idle = mavlink.MAVLink(None), [], 0
+    while idle < 1000 and times_ms[-1:] != [4999]:
+        link.receive(0.0)
+        idle += 1
+        with contextlib.suppress(BlockingIOError):
+            times_ms += [message.time_boot_ms for message in parser.parse_buffer(read_some()) or []]
+            idle = 0
+    return times_ms
+
+
+def test_after_a_stall_a_tcp_peer_gets_the_last_setpoint_and_not_those_before(connected, autopilot):
+    link, vehicle = connected
+    vehicle.setblocking(False)
+    *before, last = after_a_stall(link, autopilot, lambda: vehicle.recv(1 << 16))
+    assert last == 4999
+    assert before == sorted(before) and before[-1] < 4900, "what the kernel held; of those that waited none"
 
 
 @pytest.fixture
@@ -233,6 +261,16 @@ def terminal():
 def serial_link(terminal, clock):
     with contextlib.closing(open_link(f"serial:{terminal[1]}:57600", clock)) as link:
         yield link
+
+
+def test_after_a_stall_a_serial_peer_gets_the_last_setpoint_and_not_those_before(
+    serial_link, terminal, autopilot
+):
+    master, _ = terminal
+    os.set_blocking(master, False)
+    *before, last = after_a_stall(serial_link, autopilot, lambda: os.read(master, 1 << 16))
+    assert last == 4999
+    assert before == sorted(before) and before[-1] < 4900, "what the kernel held; of those that waited none"
 
 
 def test_serial_bytes_go_both_ways(serial_link, terminal):
