@@ -27,6 +27,7 @@ from kffa_offboard.process.flight_mark import FlightMark
 from kffa_offboard.process.notify import ServiceManager
 from kffa_offboard.process.realtime import Collector
 from kffa_offboard.process.timing import StepClock
+from kffa_offboard.process.tuning_writer import TuningWriter
 from kffa_offboard.process.watch import LoopWatch, TroubleSource
 
 
@@ -99,6 +100,10 @@ def open_vehicle(
             config = _after_interruption(config, options, mark, shared.console)
             observers.append(mark)
             sources.append(mark.take_trouble)
+        if config.tuning.store is not None:
+            stored = stack.enter_context(_said_at_the_end(TuningWriter(config.tuning.store)))
+            config = replace(config, tuning=replace(config.tuning, store=stored))
+            sources.append(stored.take_trouble)
         writer = None
         if log is not None:
             writer = stack.enter_context(_log_writer(config, options, log, route, changed))
@@ -121,6 +126,18 @@ def open_vehicle(
             yield VehicleRun(name, config, log, session, watch)
         finally:
             _say_what_is_left(session, changed)
+
+
+@contextmanager
+def _said_at_the_end(writer: TuningWriter) -> Iterator[TuningWriter]:
+    """Closes it; what only then goes wrong is said, too."""
+    try:
+        yield writer
+    finally:
+        writer.close()
+        trouble = writer.take_trouble()
+        if trouble is not None:
+            complain(trouble)
 
 
 def _after_interruption(

@@ -32,7 +32,7 @@ class TuningStore(Protocol):
 
 
 class TuningFile:
-    """The file itself, replaced as a whole, never half written."""
+    """The file itself, replaced as a whole, never half written. Writing waits for the disk."""
 
     def __init__(self, path: Path) -> None:
         self.path = path
@@ -52,7 +52,10 @@ class TuningFile:
         """See `TuningStore`."""
         draft = self.path.with_name(self.path.name + ".part")
         try:
-            draft.write_text(text, encoding="utf-8")
+            with draft.open("w", encoding="utf-8") as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
             os.replace(draft, self.path)
         except OSError as error:
             raise TuningProblem(f"cannot write {self.path}: {error.strerror}") from error

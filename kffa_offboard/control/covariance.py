@@ -97,17 +97,17 @@ class Spread(NamedTuple):
 
 @remember
 def _model_matrices(
-    parameters: KalmanParameters, model: PlantModel, channel: int, dt: float
+    parameters: KalmanParameters, damping: float, channel: int, dt: float
 ) -> tuple[Array, Array]:
     """Transition F and process noise Q of a channel over `dt`, ``(states, states)``."""
-    damping = np.asarray(model.damping, dtype=float)[channel]
-    e, p, q = transition(damping, dt)
+    decay = np.asarray(damping)
+    e, p, q = transition(decay, dt)
     f = np.array([[1.0, p, q], [0.0, e, p], [0.0, 0.0, 1.0]])
     if parameters.states == 2:
         variance = parameters.process_variance
         return f[:2, :2], (LITERAL_PROCESS_VARIANCE if variance is None else variance[channel]) * np.eye(2)
     # The random walk enters through the disturbance: integral of (q, p, 1)(q, p, 1)^T over dt.
-    _, p, q = transition(damping, 0.5 * dt * (1.0 + _NODES))
+    _, p, q = transition(decay, 0.5 * dt * (1.0 + _NODES))
     entered = np.stack([q, p, np.ones_like(p)])
     return f, parameters.disturbance_intensity[channel] * 0.5 * dt * (entered * _WEIGHTS) @ entered.T
 
@@ -121,16 +121,28 @@ def _sensors(parameters: KalmanParameters, channel: int, with_rate: bool) -> tup
     return np.eye(len(variances), parameters.states), np.diag(variances)
 
 
-@remember
+def _damping(model: PlantModel, channel: int) -> float:
+    """All of the plant's model that covariances depend on: another b0 leaves them as they are."""
+    return float(np.asarray(model.damping, dtype=float)[channel])
+
+
 def at_rest(
     parameters: KalmanParameters, model: PlantModel, channel: int, with_rate: bool, period: float
 ) -> tuple[Covariance]:
-    """Where a channel's covariance comes to rest, after the correction, if it is measured every `period` s.
+    """Where a channel's covariance comes to rest if it is measured every `period` s; after the correction."""
+    return _resting(parameters, _damping(model, channel), channel, with_rate, period)
+
+
+@remember
+def _resting(
+    parameters: KalmanParameters, damping: float, channel: int, with_rate: bool, period: float
+) -> tuple[Covariance]:
+    """See `at_rest`.
 
     By doubling: each pass goes twice as far in time as the one before (Anderson, "Second-order
     convergent algorithms for the steady-state Riccati equation", 1978).
     """
-    f, prior = _model_matrices(parameters, model, channel, period)
+    f, prior = _model_matrices(parameters, damping, channel, period)
     h, r = _sensors(parameters, channel, with_rate)
     information = h.T @ np.linalg.inv(r) @ h
     identity = np.eye(len(f))
@@ -150,7 +162,7 @@ def predicted(
     parameters: KalmanParameters, model: PlantModel, channel: int, covariance: Covariance, dt: float
 ) -> Covariance:
     """The covariance `dt` s later (eq 45)."""
-    f, q = _model_matrices(parameters, model, channel, dt)
+    f, q = _model_matrices(parameters, _damping(model, channel), channel, dt)
     return Covariance(f @ covariance.matrix @ f.T + q)
 
 
@@ -173,7 +185,7 @@ def corrected(
     """A channel is measured `dt` s after `spread`: the gain ``(states, 1 or 2)``, and what is left."""
     after = spread.elapsed + dt
     usual, period, odd, odds = _times(parameters, spread, after)
-    f, q = _model_matrices(parameters, model, channel, period if usual else after)
+    f, q = _model_matrices(parameters, _damping(model, channel), channel, period if usual else after)
     h, r = _sensors(parameters, channel, with_rate)
     kalman = copy(_blank_filter(parameters.states))  # filterpy rebinds matrices and never writes into them
     kalman.P = spread.covariance.matrix

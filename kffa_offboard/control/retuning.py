@@ -3,14 +3,39 @@
 Bandwidths, weights and limits need nothing: the estimates stay, and the next command differs by what the
 new gains make of the present error. A plant model with other numbers explains the same acceleration with
 another disturbance; without that step the observer would have to find it, and the vehicle would feel it.
+
+What follows from parameters is remembered for these very objects (`memory.py`); `as_before` keeps the objects
+of all that stays the same, so that the next step need not work it out again.
 """
 
 from __future__ import annotations
+
+from dataclasses import fields, is_dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
 from kffa_offboard.control import Array, column, kalman
 from kffa_offboard.control.controllers import ControllerParameters, ControllerState
+
+Value = TypeVar("Value")
+
+
+def as_before(before: Value, after: Value) -> Value:
+    """`after`, but with the objects of `before` for every part that is equal; for frozen parameters."""
+    if type(before) is not type(after):
+        return after
+    if isinstance(before, np.ndarray) and isinstance(after, np.ndarray):
+        same = before.shape == after.shape and before.tobytes() == after.tobytes()
+    elif is_dataclass(before) and not isinstance(before, type):
+        names = [item.name for item in fields(before)]
+        kept = {name: as_before(getattr(before, name), getattr(after, name)) for name in names}
+        if any(part is not getattr(before, name) for name, part in kept.items()):
+            return replace(after, **kept)  # type: ignore[type-var]
+        same = True
+    else:
+        same = bool(before == after)
+    return before if same else after
 
 
 def retuned(

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from kffa_offboard.control.retuning import as_before
 from kffa_offboard.offboard import admission, events, external, parameters, rivals, telemetry
 from kffa_offboard.offboard.events import AttitudeSetpoint, Event, PositionSetpoint, Severity
 from kffa_offboard.offboard.flight import Directive, Phase
@@ -52,6 +53,7 @@ class RequestSession(PayloadSession):
         if refusal is not None and self.state in SENDING:
             self._emit(events.RequestRefused(refusal))
             return
+        settings = as_before(self.settings, settings)
         self._loop = adopt(self._loop, self.settings, settings)
         self.settings = settings
 

@@ -146,6 +146,20 @@ def test_stored_values_that_the_telemetry_does_not_bear_are_not_read_in_flight(t
     assert talk.session.service.settings is CONFIG.service
 
 
+def test_a_parameter_set_in_flight_leaves_what_was_worked_out_for_the_others(talk):
+    """The gains of a Kalman filter cost milliseconds, which are the next control step's."""
+    engage(talk)
+    before = talk.session.service.settings
+    set_bandwidth(talk, b"ALT_OMEGA_C", 6.0)
+    after = talk.session.service.settings
+    assert after.controller.law.omega_c[3] == 6.0
+    for part in ("kalman", "model", "observer", "actuator", "differentiator", "fuzzy", "limits"):
+        assert getattr(after.controller, part) is getattr(before.controller, part), part
+    set_bandwidth(talk, b"LIM_FENCE_M", 50.0)
+    assert talk.session.service.settings.limits.fence_radius_m == 50.0
+    assert talk.session.service.settings.controller is after.controller
+
+
 def test_clocks_are_compared_five_times_a_second_and_never_unless_told(scripted, read, talk):
     talk.telemetry(3.0)
     assert talk.sent("TIMESYNC") == []
