@@ -30,9 +30,9 @@ def as_before(before: Value, after: Value) -> Value:
     elif is_dataclass(before) and not isinstance(before, type):
         names = [item.name for item in fields(before)]
         kept = {name: as_before(getattr(before, name), getattr(after, name)) for name in names}
-        if any(part is not getattr(before, name) for name, part in kept.items()):
+        same = all(part is getattr(before, name) for name, part in kept.items())
+        if not same and any(part is not getattr(after, name) for name, part in kept.items()):
             return replace(after, **kept)  # type: ignore[type-var]
-        same = True
     else:
         same = bool(before == after)
     return before if same else after

@@ -38,6 +38,9 @@ class Bearable:
 LATENCY_TO_ENGAGE = Bearable(1.0, 1.5)
 LATENCY_IN_FLIGHT = Bearable(1.2, 2.0)
 
+CARRYING_MARGIN = 1.05
+"""More than the thrust that carries the vehicle by so much is needed to keep it where it is."""
+
 
 SETTLED_RAD, SETTLED_M, SETTLED_M_S = 0.1, 0.3, 1.0
 """How far estimates of angle, height and climb rate may be from what is measured."""
@@ -143,6 +146,13 @@ def unbearable(
 
     most = LATENCY_TO_ENGAGE if found(before, LATENCY_TO_ENGAGE) is None else LATENCY_IN_FLIGHT
     return found(after, most)
+
+
+def too_weak(limits: LimitSettings, thrust: float | None) -> str | None:
+    """The vehicle would fall: `thrust` carries it, as far as is known, and the guard lets less through."""
+    if thrust is None or thrust * CARRYING_MARGIN <= limits.thrust_max:
+        return None
+    return f"thrust {thrust:.2f} carries the vehicle; thrust_max = {limits.thrust_max:g}"
 
 
 def empty(limits: LimitSettings, battery: BatteryReported | None) -> str | None:

@@ -38,9 +38,12 @@ class EngageSession(Session):
             return "cannot tell whether it flies"
         if grounded and not starts_on_ground(self.settings.scenario):
             return "on the ground, and no take-off first"
-        leads = self._loop is not None and admission.leaves_limits(self.settings, self._loop, grounded)
-        if leads:
-            return leads
+        flown = None if grounded else telemetry.reported_thrust(self.settings.telemetry, self._known, time_us)
+        refusal = admission.too_weak(self.settings.limits, flown)
+        if refusal is None and self._loop is not None:
+            refusal = admission.leaves_limits(self.settings, self._loop, grounded)
+        if refusal is not None:
+            return refusal
         return telemetry.outside_limits(self.settings.limits, self._known, self._ground_level(grounded))
 
     def _ground_level(self, grounded: bool) -> float:

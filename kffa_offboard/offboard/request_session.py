@@ -50,6 +50,8 @@ class RequestSession(PayloadSession):
         """Other numbers, unless that would end control at once."""
         latency_s = telemetry.latency_on_arrival_s(self._known, self._link, time_us)
         refusal = admission.unbearable(self.settings, settings, self._known, latency_s, self._link, time_us)
+        if self._loop is not None and self._loop.carrying is not None:
+            refusal = refusal or admission.too_weak(settings.limits, self._loop.carrying.thrust)
         if refusal is not None and self.state in SENDING:
             self._emit(events.RequestRefused(refusal))
             return

@@ -40,6 +40,37 @@ def test_a_battery_that_runs_low_in_flight_is_said_once_and_left_to_the_autopilo
     assert flight.texts.count("battery low") == 1 and flight.service.state is State.ENGAGED
 
 
+def with_thrust_max(settings, value):
+    return replace(settings, limits=replace(settings.limits, thrust_max=value))
+
+
+def test_a_limit_of_thrust_below_what_carries_the_load_is_refused_in_flight(fake):
+    """It was taken: a 10 kg quadrotor with 5 kg fell from 4 m."""
+    flight = fake.Lockstep(
+        fake.settings(scenario=HOLD), fake.airborne(weight=1.5, own_thrust=1.5 * fake.hover)
+    )
+    flight.run_to(State.ENGAGED)
+    flight.run(3.0)
+    flight.log.clear()
+    flown = flight.service.settings
+    flight.give(events.SettingsChanged(with_thrust_max(flown, 0.5)))
+    (refused,) = [said for _, said in flight.sent(events.RequestRefused)]
+    assert refused.reason == "thrust 0.60 carries the vehicle; thrust_max = 0.5"
+    assert flight.service.settings is flown
+    flight.give(events.SettingsChanged(with_thrust_max(flown, 0.65)))
+    assert flight.service.settings.limits.thrust_max == 0.65
+    flight.run(2.0)
+    assert flight.service.state is State.ENGAGED and flight.vehicle.position == pytest.approx(3.0, abs=0.1)
+
+
+def test_a_limit_of_thrust_below_what_the_autopilot_flies_with_forbids_engaging(fake):
+    flight = fake.Lockstep(
+        with_thrust_max(fake.settings(engage=False, scenario=HOLD), 0.5),
+        fake.airborne(weight=1.5, own_thrust=1.5 * fake.hover),
+    ).run_to(State.READY)
+    assert refusal_of(flight) == "not engaged: thrust 0.60 carries the vehicle; thrust_max = 0.5"
+
+
 def test_telemetry_that_became_slow_after_ready_forbids_engaging(fake):
     """It is judged at the moment of engaging, not when "ready" was said."""
     flight = ready(fake)
