@@ -96,9 +96,9 @@ class Observation:
             self._hover_steps += 1
 
     def _fail(self, time: float, height: Array, size: Array, cosine: Array, over: BoolArray) -> None:
-        reasons = (
-            (ALTITUDE, size > self._limits.altitude_error_max_m),
-            (TILT, cosine < self._level),
+        reasons = (  # what is no number is not within limits either
+            (ALTITUDE, ~(size <= self._limits.altitude_error_max_m)),
+            (TILT, ~(cosine >= self._level)),
             (GROUND, height <= 0.0),
         )
         failing: BoolArray = (reasons[0][1] | reasons[1][1] | reasons[2][1]) & ~over & ~self.lost

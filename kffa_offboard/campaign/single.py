@@ -95,7 +95,9 @@ def as_report_flight(campaign: Campaign, flown: SingleFlight) -> Flight:
         for column, channel in enumerate(CHANNELS)
     }
     load = float(flown.conditions.load_kg[0])
-    events = [FlightEvent(flown.pickup_s, "load", f"picked up {load:.2f} kg", load)]
+    events = []
+    if flown.load_kg.any():
+        events.append(FlightEvent(flown.pickup_s, "load", f"picked up {load:.2f} kg", load))
     if flown.load_kg[-1] == 0.0 and flown.load_kg.any():
         events.append(FlightEvent(flown.drop_s, "load", f"dropped {load:.2f} kg", -load))
     failed: tuple[str, ...] = ()

@@ -12,7 +12,7 @@ from kffa_offboard.campaign import flight, measure
 from kffa_offboard.campaign.conditions import Conditions, Surroundings, draw
 from kffa_offboard.campaign.flight import fly
 from kffa_offboard.campaign.settings import Campaign
-from kffa_offboard.campaign.single import fly_alone
+from kffa_offboard.campaign.single import as_report_flight, fly_alone
 
 WIDTH = 24
 Shortened = Callable[..., Campaign]
@@ -121,7 +121,14 @@ def test_a_slow_link_makes_flights_fail(calm: Shortened) -> None:
 
 @pytest.mark.parametrize(
     ("height", "cosine", "reason"),
-    [(7.1, 1.0, "altitude"), (5.0, 0.7, "tilt"), (-0.01, 1.0, "ground"), (5.5, 1.0, "not recovered")],
+    [
+        (7.1, 1.0, "altitude"),
+        (5.0, 0.7, "tilt"),
+        (-0.01, 1.0, "ground"),
+        (5.5, 1.0, "not recovered"),
+        (np.nan, 1.0, "altitude"),
+        (5.0, np.nan, "tilt"),
+    ],
 )
 def test_each_reason_to_fail(campaign: Campaign, height: float, cosine: float, reason: str) -> None:
     failed = campaign.file.failed.model_copy(
@@ -138,6 +145,26 @@ def test_each_reason_to_fail(campaign: Campaign, height: float, cosine: float, r
     assert [measure.FAILURES[number] for number in out.failure] == ["", reason]
     assert out.failed_at_s[1] == pytest.approx(0.2 if reason != "not recovered" else 1.0)
     assert out.pickup_peak_m[0] == 0.0
+
+
+def test_a_flight_that_is_no_number_any_more_has_failed_and_leaves_its_figures_finite(
+    campaign: Campaign,
+) -> None:
+    batch = flight.Batch(campaign, "kffa-ladrc", np.arange(3))
+    for k in range(campaign.steps):
+        if k == 60:
+            batch._rigid[:, 1] = np.nan
+        batch.step(k * campaign.control_s)
+    out = batch.observation.outcomes()
+    assert [measure.FAILURES[number] for number in out.failure] == ["", "tilt", ""]
+    assert np.isfinite([out.pickup_peak_m, out.drop_peak_m, out.tilt_max_rad, out.hover_rms_m]).all()
+
+
+def test_a_flight_that_failed_before_the_pick_up_shows_none(shortened: Shortened) -> None:
+    hopeless = shortened({"failed": {"altitude_error_max_m": 1e-6}}, "kffa-ladrc")
+    flown = fly_alone(hopeless, "kffa-ladrc", 0, 1)
+    assert flown.failure == "altitude"
+    assert not as_report_flight(hopeless, flown).events
 
 
 def test_what_is_sent_arrives_after_the_delay_of_each_flight() -> None:
