@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, field_validator, model_validator
 
 from sim_vehicle import payload
 from sim_vehicle.config_backend import PHYSICS_STEP_S, BackendSection
-from sim_vehicle.config_base import NotNegative, Section
+from sim_vehicle.config_base import Noise, NotNegative, Number, Section
 from sim_vehicle.config_errors import describe
 from sim_vehicle.config_faults import FaultsSection
 from sim_vehicle.endpoints import parse_endpoint
@@ -26,7 +26,9 @@ from sim_vehicle.proximity import Proximity
 
 Personality: TypeAlias = Literal["px4", "ardupilot"]
 Delay: TypeAlias = Annotated[float, Field(ge=0.0, le=2.0)]
-Vector3: TypeAlias = tuple[float, float, float]
+Vector3: TypeAlias = tuple[Number, Number, Number]
+Period: TypeAlias = Annotated[float, Field(ge=0.01, le=1e6)]
+Arm: TypeAlias = Annotated[float, Field(ge=-10.0, le=10.0)]
 
 MICROSECOND = 1e-6
 
@@ -85,23 +87,23 @@ class SigningSection(Section):
 class SensorsSection(Section):
     """[sensors]: standard deviations of white noise on what the firmware estimates, flies by and sends."""
 
-    attitude_noise_rad: NotNegative = 0.002
-    body_rate_noise_rad_s: NotNegative = 0.01
-    altitude_noise_m: NotNegative = 0.01
-    climb_rate_noise_m_s: NotNegative = 0.02
-    horizontal_position_noise_m: NotNegative = 0.02
-    horizontal_velocity_noise_m_s: NotNegative = 0.02
+    attitude_noise_rad: Noise = 0.002
+    body_rate_noise_rad_s: Noise = 0.01
+    altitude_noise_m: Noise = 0.01
+    climb_rate_noise_m_s: Noise = 0.02
+    horizontal_position_noise_m: Noise = 0.02
+    horizontal_velocity_noise_m_s: Noise = 0.02
 
 
 class WindSection(Section):
     """[wind]: steady wind, gusts and the paper's sine (Example 4)."""
 
     mean_m_s: Vector3 = (0.0, 0.0, 0.0)
-    gust_std_m_s: NotNegative = 0.0
-    gust_time_constant_s: Annotated[float, Field(gt=0.0)] = 1.0
-    sine_amplitude_m_s2: float = 0.0
-    sine_amplitude_n: float = 0.0
-    sine_period_s: Annotated[float, Field(gt=0.0)] = 2.0 * math.pi
+    gust_std_m_s: Noise = 0.0
+    gust_time_constant_s: Period = 1.0
+    sine_amplitude_m_s2: Number = 0.0
+    sine_amplitude_n: Number = 0.0
+    sine_period_s: Period = 2.0 * math.pi
     sine_direction: Vector3 = (0.0, 0.0, 1.0)
 
     @model_validator(mode="after")
@@ -153,8 +155,8 @@ class LoadChange(Section):
 class PayloadSection(Section):
     """[payload]: what the gripper holds, where, and when it comes and goes by itself."""
 
-    offset_m: Vector3 = payload.DEFAULT_OFFSET
-    rope_length_m: NotNegative = 0.0
+    offset_m: tuple[Arm, Arm, Arm] = payload.DEFAULT_OFFSET
+    rope_length_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
     """The load swings on a rope of this length below the centre; 0: it is held rigidly at offset_m."""
     gripper_mass_kg: float = 5.0
     clock: Literal["airborne", "boot"] = "airborne"

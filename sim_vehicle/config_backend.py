@@ -6,7 +6,7 @@ from typing import Annotated, Literal, Self, TypeAlias
 
 from pydantic import Field, model_validator
 
-from sim_vehicle.config_base import NotNegative, Section
+from sim_vehicle.config_base import Noise, NotNegative, Section
 
 BackendKind: TypeAlias = Literal["bundled", "ardupilot-json", "px4-hil"]
 Channel: TypeAlias = Annotated[int, Field(ge=1, le=32)]
@@ -102,8 +102,8 @@ class BackendSection(Section):
     barrier_port: Annotated[int, Field(ge=0, le=65535)] = 0
     """UDP port on loopback that lets time go on at each `barrier_period_s` (`backends.barrier`); 0: none."""
     barrier_period_s: Annotated[float, Field(ge=0.001, le=1.0)] = 0.004
-    accel_noise_m_s2: NotNegative = 0.05
-    gyro_noise_rad_s: NotNegative = 0.002
+    accel_noise_m_s2: Noise = 0.05
+    gyro_noise_rad_s: Noise = 0.002
     """White noise on each sample of the inertial sensors (standard deviation)."""
     stall_warning_s: Annotated[float, Field(gt=0.0, le=3600.0)] = 5.0
     """Silence of the firmware after which a line on stderr says so; again after twice that time, ..."""

@@ -6,7 +6,10 @@ from typing import Annotated, TypeAlias
 
 from pydantic import BaseModel, ConfigDict, Field
 
-NotNegative: TypeAlias = Annotated[float, Field(ge=0.0)]
+NotNegative: TypeAlias = Annotated[float, Field(ge=0.0, le=1e6)]
+Noise: TypeAlias = Annotated[float, Field(ge=0.0, le=1000.0)]
+Number: TypeAlias = Annotated[float, Field(ge=-1000.0, le=1000.0)]
+"""Far beyond anything that flies; what is larger overflows sooner or later."""
 
 
 class Section(BaseModel):

@@ -61,8 +61,8 @@ def _shown(value: Any) -> str:
 
 def _what(detail: ErrorDetails, model: type[BaseModel]) -> str:
     kind, context = detail["type"], detail.get("ctx", {})
-    key = str(detail["loc"][-1]) if detail["loc"] else ""
-    unit = unit_of(key)
+    names = [part for part in detail["loc"] if isinstance(part, str) and part not in _BRANCHES]
+    unit = unit_of(names[-1]) if names else ""
     in_unit = f" {unit}" if unit else ""
     if kind == "extra_forbidden":
         return _unknown(detail["loc"], model)

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from sim_vehicle.config_base import NotNegative, Section
+from sim_vehicle.config_base import NotNegative, Number, Section
 
 Share = Annotated[float, Field(ge=0.0, le=1.0)]
 
@@ -40,7 +40,7 @@ class Gust(Section):
 
     start_s: NotNegative
     duration_s: NotNegative
-    velocity_m_s: tuple[float, float, float] = (12.0, 0.0, 0.0)
+    velocity_m_s: tuple[Number, Number, Number] = (12.0, 0.0, 0.0)
 
 
 class FaultsSection(Section):

@@ -20,6 +20,7 @@ Kind: TypeAlias = Literal["int8", "int16", "int32", "real32"]
 WIRE_TYPE: Mapping[Kind, int] = {"int8": 2, "int16": 4, "int32": 6, "real32": 9}
 """MAV_PARAM_TYPE of each kind."""
 
+_LARGEST_REAL32 = (2.0 - 2.0**-23) * 2.0**127
 _RANGE: Mapping[str, int] = {"int8": 1 << 7, "int16": 1 << 15, "int32": 1 << 31}
 
 
@@ -66,6 +67,8 @@ class ParameterStore:
         if not math.isfinite(value):
             raise ValueError(f"{value} is not a number; give a finite one")
         kind = self._kinds[name]
+        if abs(value) > _LARGEST_REAL32:
+            raise ValueError(f"{value:g} does not fit {kind}; the limit is {_LARGEST_REAL32:.7g}")
         if kind != "real32":
             if value != int(value):
                 raise ValueError(f"{value:g} is not a whole number; {name} is an integer parameter")

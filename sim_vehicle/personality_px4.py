@@ -290,7 +290,8 @@ class Px4Firmware(Firmware):
             return IDLE
         if setpoint.type_mask & ATTITUDE_IGNORE:
             return RateDemand(setpoint.body_rates, setpoint.thrust)
-        yaw_rate = 0.0 if setpoint.type_mask & YAW_RATE_IGNORE else setpoint.body_rates[2]
+        given = not setpoint.type_mask & YAW_RATE_IGNORE and math.isfinite(setpoint.body_rates[2])
+        yaw_rate = setpoint.body_rates[2] if given else 0.0
         return self._fly_attitude(estimate, setpoint.attitude, setpoint.thrust, yaw_rate)
 
     def _fly_attitude(

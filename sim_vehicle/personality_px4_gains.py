@@ -23,6 +23,10 @@ def rate_gains(p: ParameterStore) -> RateGains:
     )
 
 
+LEAST_HOVER_THRUST = 0.1
+"""MPC_THR_HOVER's least value in PX4's metadata; less is not flown with."""
+
+
 def guidance(p: ParameterStore, gravity: float) -> Guidance:
     """Height and position cascades."""
     vertical = VerticalGains(
@@ -34,7 +38,7 @@ def guidance(p: ParameterStore, gravity: float) -> Guidance:
         acceleration_cutoff_hz=20.0,
         climb_max=p["MPC_Z_VEL_MAX_UP"],
         descent_max=p["MPC_Z_VEL_MAX_DN"],
-        hover_thrust=p["MPC_THR_HOVER"],
+        hover_thrust=max(LEAST_HOVER_THRUST, p["MPC_THR_HOVER"]),
         thrust_min=p["MPC_THR_MIN"],
         thrust_max=p["MPC_THR_MAX"],
         gravity=gravity,

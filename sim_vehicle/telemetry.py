@@ -27,6 +27,7 @@ EARTH_RADIUS = 6_378_137.0
 CELLS_VOLTAGE = (3850,) * 6
 CELL_UNKNOWN = 65535
 INT16_MAX = 32767
+INT32_MAX = 2**31 - 1
 STATUSTEXT_BYTES = 50
 
 Message: TypeAlias = Any  # pymavlink has no types
@@ -67,7 +68,8 @@ def latitude_longitude(position: tuple[float, float, float]) -> tuple[int, int]:
     north, east, _ = frames.vector_to_ned(np.array(position)).tolist()
     latitude = HOME_LATITUDE_DEG + math.degrees(north / EARTH_RADIUS)
     scale = EARTH_RADIUS * math.cos(math.radians(HOME_LATITUDE_DEG))
-    return round(latitude * 1e7), round((HOME_LONGITUDE_DEG + math.degrees(east / scale)) * 1e7)
+    longitude = HOME_LONGITUDE_DEG + math.degrees(east / scale)
+    return _within(latitude * 1e7, INT32_MAX), _within(longitude * 1e7, INT32_MAX)
 
 
 def local_position(latitude: float, longitude: float) -> tuple[float, float]:
@@ -129,9 +131,20 @@ def _local_position(s: Sample) -> Message:
     )
 
 
+def _centidegrees(angle: float) -> int:
+    """Of a compass: 0 to 35999."""
+    return round(math.degrees(angle % (2.0 * math.pi)) * 100.0) % 36000
+
+
 def _heading_cdeg(s: Sample) -> int:
     _, _, yaw = frames.euler_to_ned(np.array(s.estimate.euler)).tolist()
-    return round(math.degrees(yaw % (2.0 * math.pi)) * 100.0) % 36000
+    return _centidegrees(yaw)
+
+
+def _course_cdeg(s: Sample) -> int:
+    """Where it moves to, wherever it looks."""
+    north, east, _ = _ned(s.estimate.velocity)
+    return _centidegrees(math.atan2(east, north))
 
 
 def _global_position(s: Sample) -> Message:
@@ -141,8 +154,8 @@ def _global_position(s: Sample) -> Message:
         s.time_ms,
         latitude,
         longitude,
-        round((ORIGIN_ALTITUDE + s.estimate.position[2]) * 1000.0),
-        round(s.firmware.height_above_home * 1000.0),
+        _within((ORIGIN_ALTITUDE + s.estimate.position[2]) * 1000.0, INT32_MAX),
+        _within(s.firmware.height_above_home * 1000.0, INT32_MAX),
         *speed,
         _heading_cdeg(s),
     )
@@ -157,11 +170,11 @@ def _gps_raw(s: Sample) -> Message:
         mavlink.GPS_FIX_TYPE_3D_FIX if ready else mavlink.GPS_FIX_TYPE_NO_FIX,
         latitude,
         longitude,
-        round((ORIGIN_ALTITUDE + s.estimate.position[2]) * 1000.0),
+        _within((ORIGIN_ALTITUDE + s.estimate.position[2]) * 1000.0, INT32_MAX),
         90,
         140,
         _within(math.hypot(x, y) * 100.0, INT16_MAX),
-        _heading_cdeg(s),
+        _course_cdeg(s),
         14 if ready else 0,
     )
 
@@ -170,7 +183,7 @@ def _home(s: Sample) -> Message | None:
     if s.firmware.home is None:
         return None
     latitude, longitude = latitude_longitude(s.firmware.home)
-    altitude = round((ORIGIN_ALTITUDE + s.firmware.home[2]) * 1000.0)
+    altitude = _within((ORIGIN_ALTITUDE + s.firmware.home[2]) * 1000.0, INT32_MAX)
     return mavlink.MAVLink_home_position_message(
         latitude, longitude, altitude, *_ned(s.firmware.home), (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 1.0
     )

@@ -135,6 +135,23 @@ def test_attitude_is_followed_and_wins_over_body_rates(px4, mask):
     assert px4.vehicle.state.euler[0] == pytest.approx(angle, abs=0.02)
 
 
+def test_a_yaw_rate_that_is_no_number_counts_as_none(px4):
+    px4.engage_in_flight()
+    heading = px4.vehicle.state.euler[2]
+    px4.run(1.0, lambda: px4.setpoint(0, (0.0, 0.0, math.nan), HOVER, (1.0, 0.0, 0.0, 0.0)))
+    assert px4.mode == "OFFBOARD"
+    assert px4.vehicle.state.euler[2] == pytest.approx(heading, abs=0.05)
+
+
+def test_a_hover_thrust_of_zero_is_survived(px4):
+    px4.engage_in_flight()
+    px4.vehicle.firmware.parameters.set("MPC_THR_HOVER", 0.0)
+    px4.run(0.1)
+    assert px4.ask(SET_MODE, 1, 4, 3) == ACCEPTED
+    px4.run(0.5)
+    assert np.isfinite(px4.vehicle.state.rigid).all()
+
+
 def test_thrust_is_taken_as_it_is(px4):
     px4.engage_in_flight()
     px4.run(0.5, lambda: px4.setpoint(thrust=0.5))

@@ -149,6 +149,22 @@ def test_options_go_over_the_file():
             "sensors.altitude_noise_m = -0.1: too small; the limit is at least 0.0 metres",
         ),
         (
+            "[sensors]\naltitude_noise_m = 1e308",
+            "sensors.altitude_noise_m = 1e+308: too large; the limit is 1000.0 metres",
+        ),
+        (
+            "[wind]\nmean_m_s = [0.0, 1e30, 0.0]",
+            "wind.mean_m_s[1] = 1e+30: too large; the limit is 1000.0 m/s",
+        ),
+        (
+            "[vehicle]\nposition_ready_s = 1e308",
+            "vehicle.position_ready_s = 1e+308: too large; the limit is 1000000.0 seconds",
+        ),
+        (
+            "[parameters]\nMPC_Z_P = 1e39",
+            "parameters.MPC_Z_P = 1e+39: 1e+39 does not fit real32; the limit is 3.402823e+38",
+        ),
+        (
             "[vehicle]\npersonality = 'betaflight'",
             "vehicle.personality = 'betaflight': not a choice; choose 'px4' or 'ardupilot'",
         ),

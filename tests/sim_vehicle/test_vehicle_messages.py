@@ -205,6 +205,22 @@ def test_attitude_and_position_are_in_mavlinks_axes(make_pilot):
     assert (q.q1, q.q4) == pytest.approx((math.cos(0.25), -math.sin(0.25)), abs=1e-3)
 
 
+def test_the_course_is_where_it_moves_to_and_the_heading_where_it_looks(make_pilot):
+    pilot = make_pilot("px4", sensors={"horizontal_velocity_noise_m_s": 0.0, "attitude_noise_rad": 0.0})
+    pilot.vehicle.state.rigid[:] = [0.0, 0.0, 30.0, 3.0, -3.0, 0.0, 0.0, 0.0, 0.5, 0.0, 0.0, 0.0]
+    pilot.run(0.25)
+    assert pilot.messages("GPS_RAW_INT")[0].cog == pytest.approx(4500, abs=100)
+    heading = pilot.messages("GLOBAL_POSITION_INT")[0].hdg
+    assert heading == pytest.approx(36000 - round(math.degrees(0.5) * 100.0), abs=100)
+
+
+def test_a_vehicle_that_is_farther_than_its_fields_reach_is_shown_at_their_end(pilot):
+    pilot.vehicle.state.rigid[:3] = [1e9, 1e9, 1e7]
+    pilot.run(1.1)
+    seen = pilot.messages("GLOBAL_POSITION_INT")[-1]
+    assert (seen.lat, seen.alt) == (2**31 - 1, 2**31 - 1)
+
+
 def test_sensor_noise_has_the_size_that_was_set(make_pilot):
     pilot = make_pilot("px4", sensors={"attitude_noise_rad": 0.01, "altitude_noise_m": 0.05})
     pilot.run(10.0)
