@@ -56,6 +56,7 @@ class Header:
     changed_parameters : the file with which an earlier run had left old values behind, if there was one
     stored_parameters : the file of the daemon's own changed parameters, if there was one
     part : 1 for the first file of a flight, then 2, ...
+    begin_us : when the flight began, the same in all its files; None in logs of older versions
     """
 
     version: str
@@ -67,6 +68,7 @@ class Header:
     changed_parameters: str | None = None
     stored_parameters: str | None = None
     part: int = 1
+    begin_us: int | None = None
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import logging
 import os
 import threading
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -16,6 +16,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.notes import End, Header, Note, Request, to_messages
+from kffa_offboard.flightlog.parts import part_path
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.flightlog.tlog import TIMESTAMP
 from kffa_offboard.frame_codec import Packer
@@ -31,22 +32,6 @@ BATCH_SIZE = 1000
 
 QUEUE_SIZE = 100_000
 """Records that may wait for the disk: minutes of traffic. Beyond it records are dropped and counted."""
-
-
-def part_path(path: Path, part: int) -> Path:
-    """File of a part of a flight: FLIGHT.tlog, FLIGHT-2.tlog, FLIGHT-3.tlog, ... (or .tlog.gz)."""
-    if part == 1:
-        return path
-    ending = "".join(suffix for suffix in path.suffixes[-2:] if suffix in (".tlog", ".gz")) or path.suffix
-    return path.with_name(f"{path.name.removesuffix(ending)}-{part}{ending}")
-
-
-def following_parts(path: Path) -> Iterator[Path]:
-    """The further files of a flight that are there, in order."""
-    part = 2
-    while (following := part_path(path, part)).is_file():
-        yield following
-        part += 1
 
 
 class TlogWriter:
@@ -102,6 +87,8 @@ class TlogWriter:
     def write_begin(self, time_us: int) -> None:
         """Record the header, at the time when the run began. Never waits."""
         if self._header is not None:
+            self._header = replace(self._header, begin_us=time_us)
+            self._sink.header = self._header
             self._put(self._notes.records(time_us, self._header))
 
     def write_request(self, time_us: int, request: Request) -> None:
@@ -208,6 +195,7 @@ class _Sink:
 
     Attributes
     ----------
+    header : what further files begin with
     problem : why records were lost first, None if none were
     lost : how many
     trouble : what is wrong now; None while all is well
@@ -218,7 +206,7 @@ class _Sink:
         self.trouble: str | None = None
         self.lost = 0
         self._path = path
-        self._header = header
+        self.header = header
         self._notes = notes
         self._part_size = part_size
         self._part = 1
@@ -251,10 +239,10 @@ class _Sink:
         if self._part_size is not None and self._size >= self._part_size:
             self._begin_next_part()
         body = b"".join(batch)
-        if self._header is None or self._part == 1 or self._size > 0:
+        if self.header is None or self._part == 1 or self._size > 0:
             return [body]
         (time_us,) = TIMESTAMP.unpack_from(body)
-        return [self._notes.records(time_us, replace(self._header, part=self._part)), body]
+        return [self._notes.records(time_us, replace(self.header, part=self._part)), body]
 
     def _begin_next_part(self) -> None:
         try:

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.plot import csv_lines
 from kffa_offboard.flightlog.signals import ARRAY_ID, LIVE_ARRAY_ID, SignalTable, is_signals, table
 from kffa_offboard.flightlog.tlog import read_tlog
-from kffa_offboard.flightlog.writer import following_parts
 from kffa_offboard.loganalysis.output_files import refuse_inputs
 
 

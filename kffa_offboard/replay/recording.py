@@ -10,9 +10,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.notes import End, Header, Note, NoteReader, Request, is_note
+from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.signals import is_signals
 from kffa_offboard.flightlog.tlog import read_tlog
-from kffa_offboard.flightlog.writer import following_parts
 from kffa_offboard.frame_codec import decode
 from kffa_offboard.offboard.events import ProcessReport
 from kffa_offboard.replay.uncollected import uncollected

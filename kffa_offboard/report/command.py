@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from kffa_offboard.errors import UserError
-from kffa_offboard.flightlog.writer import following_parts
+from kffa_offboard.flightlog.parts import without_parts
 from kffa_offboard.report.align import Alignment
 from kffa_offboard.report.flight import Flight
 from kffa_offboard.report.read import read_any, short_name
@@ -58,13 +58,6 @@ def _draw(directory: Path | None, flights: Sequence[Flight], alignment: Alignmen
     from kffa_offboard.report.figures import draw_figures
 
     return draw_figures(directory, flights, alignment)
-
-
-def without_parts(logs: Sequence[Path]) -> list[Path]:
-    """The logs without repetitions and without further parts (FLIGHT-2.tlog) of another one among them."""
-    parts = {part.resolve() for log in logs for part in following_parts(log)}
-    unique = {log.resolve(): log for log in reversed(logs)}
-    return [log for log in logs if unique.get(log.resolve()) is log and log.resolve() not in parts]
 
 
 def distinct_names(logs: Sequence[Path]) -> list[str]:

@@ -14,8 +14,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog import signals
 from kffa_offboard.flightlog.notes import End, Header, NoteReader, is_note
+from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.tlog import read_tlog
-from kffa_offboard.flightlog.writer import following_parts
 from kffa_offboard.loganalysis import dataflash
 from kffa_offboard.loganalysis.read import ULOG_MAGIC
 from kffa_offboard.mavlink.component import Route

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -13,8 +14,9 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog import writer as writing
 from kffa_offboard.flightlog.notes import End, Header, NoteReader, is_note, notes, to_messages
+from kffa_offboard.flightlog.parts import following_parts, part_path, without_parts
 from kffa_offboard.flightlog.tlog import read_tlog
-from kffa_offboard.flightlog.writer import TlogWriter, part_path
+from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.offboard.events import EngageRequested, ReleaseRequested
 
 START_US = 1_700_000_000_000_000
@@ -191,6 +193,40 @@ def test_a_further_file_that_exists_is_left_alone_and_the_log_stays_where_it_is(
     sink.close()
     assert times_in(path) == list(range(100))
     assert other.read_bytes() == b"somebody else's"
+
+
+def parts_of(path, begin_us=START_US, count=600):
+    """A flight in several files, 10 records in each."""
+    begun = replace(HEADER, begin_us=begin_us)
+    sink = make_sink(path, begun, part_size=1)
+    sink.write([sink._notes.records(begin_us, begun)])
+    for n in range(0, count, 10):
+        sink.write([record(k) for k in range(n, n + 10)])
+    sink.close()
+
+
+def test_another_flight_that_is_called_like_a_further_file_is_none(tmp_path):
+    parts_of(tmp_path / "flight.tlog", count=20)
+    assert [*following_parts(tmp_path / "flight.tlog")] == [
+        part_path(tmp_path / "flight.tlog", k) for k in (2, 3)
+    ]
+    other = tmp_path / "other.tlog"
+    parts_of(other, START_US + 1, count=0)
+    parts_of(part_path(other, 2), count=0)
+    assert [*following_parts(other)] == []
+    parts_of(tmp_path / "later.tlog", START_US + 2, count=20)
+    part_path(tmp_path / "later.tlog", 2).rename(part_path(other, 3))
+    assert [*following_parts(other)] == [], "nor is a further file of another flight"
+    logs = [part_path(other, 2), other]
+    assert without_parts(logs) == logs
+
+
+def test_a_further_file_that_is_missing_between_others_is_named(tmp_path):
+    path = tmp_path / "flight.tlog"
+    parts_of(path, count=40)
+    part_path(path, 3).unlink()
+    with pytest.raises(UserError, match=r"flight-3\.tlog: is missing, and flight-4\.tlog is there"):
+        [*following_parts(path)]
 
 
 @pytest.mark.parametrize(

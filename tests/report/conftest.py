@@ -25,8 +25,8 @@ def write_log():
     vehicle = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
     daemon = mavlink.MAVLink(None, srcSystem=245, srcComponent=191)
 
-    def write(path, duration_s=8.0, end=True, signals=True, text="hello <b>pilot</b></script>"):
-        header = Header("1.2.3", {"control": {"controller": "ladrc", "output": "rates"}}, {}, libraries={})
+    def write(path, duration_s=8.0, end=True, signals=True, text="hello <b>pilot</b></script>", part=1):
+        header = Header("1.2.3", {"control": {"controller": "ladrc", "output": "rates"}}, {}, part=part)
         with TlogWriter(path, header=header if signals else None) as log:
             log.write_begin(BEGIN_US)
 

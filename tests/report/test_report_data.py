@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.parts import without_parts
 from kffa_offboard.report.align import zero_of
-from kffa_offboard.report.command import distinct_names, without_parts
+from kffa_offboard.report.command import distinct_names
 from kffa_offboard.report.flight import Flight, FlightEvent, Line, Origin
 from kffa_offboard.report.metrics import judge, stream_metrics
 from kffa_offboard.report.panels import panels
@@ -174,7 +175,7 @@ def test_logs_without_a_flight_are_refused_in_one_line(write_log, tmp_path):
 
 def test_a_compressed_flight_and_its_second_part_are_one_flight(write_log, tmp_path):
     data = write_log(tmp_path / "flight.tlog").read_bytes()
-    second = write_log(tmp_path / "other.tlog", duration_s=12.0, end=False).read_bytes()
+    second = write_log(tmp_path / "other.tlog", duration_s=12.0, end=False, part=2).read_bytes()
     (tmp_path / "packed.tlog.gz").write_bytes(gzip.compress(data))
     (tmp_path / "packed-2.tlog.gz").write_bytes(gzip.compress(second))
     logs = [tmp_path / "packed-2.tlog.gz", tmp_path / "packed.tlog.gz", tmp_path / "packed.tlog.gz"]

@@ -15,8 +15,9 @@ import pytest
 
 from kffa_offboard.config import Overrides, build, bundled, read_toml
 from kffa_offboard.config_log import config_of, flight_header, make_companion, parameter_keeper
+from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.tlog import read_tlog
-from kffa_offboard.flightlog.writer import TlogWriter, following_parts
+from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.mavlink.session import Session
