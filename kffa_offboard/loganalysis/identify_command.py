@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.parts import following_parts, without_parts
 from kffa_offboard.loganalysis.fit import Estimate
 from kffa_offboard.loganalysis.identify import Identification, identify
 from kffa_offboard.loganalysis.model_file import as_toml, model_tables
@@ -20,8 +21,8 @@ from kffa_offboard.loganalysis.read import read_log
 def run_identify(logs: list[Path], out: Path | None, link_delay_s: float, as_json: bool) -> int:
     """Do it; exit status 0 if a channel was identified, 1 if none was."""
     if out is not None:
-        refuse_inputs(out, logs)
-    records = [read_log(log) for log in logs]
+        refuse_inputs(out, [part for log in logs for part in (log, *following_parts(log))])
+    records = [read_log(log) for log in without_parts(logs)]
     if len({record.commands_sent for record in records}) > 1:
         raise UserError(
             "telemetry logs of a companion computer and logs written on board do not mix: their "
@@ -39,6 +40,8 @@ def run_identify(logs: list[Path], out: Path | None, link_delay_s: float, as_jso
         for record in records:
             for problem in record.damage:
                 Console().print(f"PARTIAL: {record.path}: {problem}", soft_wrap=True, highlight=False)
+            for remark in record.remarks:
+                Console().print(f"{record.path}: {remark}", soft_wrap=True, highlight=False)
     return 0 if found.channels else 1
 
 

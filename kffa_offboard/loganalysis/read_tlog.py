@@ -16,10 +16,12 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.loganalysis.record import FlightRecord, Note, Series, empty, series, series_with_arrival
 from kffa_offboard.mavlink import frames
 from kffa_offboard.mavlink.telemetry import TelemetryDecoder, landed_state
+from kffa_offboard.mavlink.vehicle import MULTIROTORS
 from kffa_offboard.offboard.events import (
     AttitudeReceived,
     PositionReceived,
@@ -29,8 +31,10 @@ from kffa_offboard.offboard.events import (
 
 AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _REBOOT_S = 1.0  # a boot clock that falls back by more than this began anew
+_BOOT_CLOCK_RANGE_MS = 2**32
 _AUTOPILOTS = {mavlink.MAV_AUTOPILOT_PX4: "px4", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot"}
 _IGNORE_RATES = 7
+_SAME_THRUST = 0.1
 _IGNORE_ATTITUDE = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
 
 
@@ -56,35 +60,27 @@ class _Column:
 
 
 @dataclass
-class _Collector:
-    """Sorts the messages of one vehicle into columns."""
+class _Stretch:
+    """What one vehicle said, and was told, from one start of its clock to the next.
 
-    system: int | None = None
-    autopilot: str = ""
+    `samples` counts attitudes, `flown` those while armed.
+    """
+
     decoder: TelemetryDecoder = field(default_factory=TelemetryDecoder)
     columns: dict[str, _Column] = field(default_factory=dict)
     notes: list[tuple[float, str, str]] = field(default_factory=list)
-    damage: list[str] = field(default_factory=list)
     latest_s: float = -np.inf
     mode: int | None = None
     armed: bool | None = None
+    samples: int = 0
+    flown: int = 0
 
     def column(self, name: str) -> _Column:
         return self.columns.setdefault(name, _Column())
 
     def take(self, arrival_s: float, message: Any) -> None:
-        kind = message.get_type()
-        if kind == "SET_ATTITUDE_TARGET":
-            self._sent(arrival_s, message)
-            return
-        if message.get_srcComponent() != AUTOPILOT_COMPONENT:
-            return
-        if kind == "HEARTBEAT" and message.autopilot in _AUTOPILOTS and self.system is None:
-            self.system = message.get_srcSystem()
-            self.autopilot = _AUTOPILOTS[message.autopilot]
-        if self.system is not None and message.get_srcSystem() != self.system:
-            return
-        match kind:
+        """One message of the vehicle's autopilot."""
+        match message.get_type():
             case "HEARTBEAT":
                 self._heartbeat(arrival_s, message)
             case "EXTENDED_SYS_STATE":
@@ -98,6 +94,19 @@ class _Collector:
                 self._sample(arrival_s, message)
             case _:
                 pass
+
+    def ends_before(self, arrival_s: float, message: Any) -> bool:
+        """True for the first attitude after a restart: its clock is no older than the pause before it.
+
+        A late sample, or one that came a second time by another link, is older.
+        """
+        if not self.samples:
+            return False
+        back_ms = (round(self.latest_s * 1e3) - message.time_boot_ms) % _BOOT_CLOCK_RANGE_MS
+        if not 1e3 * _REBOOT_S < back_ms < _BOOT_CLOCK_RANGE_MS // 2:
+            return False
+        pause_s = arrival_s - self.columns["attitude"].arrival_s[-1]
+        return pause_s < -_REBOOT_S or message.time_boot_ms * 1e-3 < pause_s + _REBOOT_S
 
     def _heartbeat(self, arrival_s: float, message: Any) -> None:
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
@@ -114,11 +123,9 @@ class _Collector:
             match event:
                 case AttitudeReceived():
                     time_s = event.sample_time_us * 1e-6
-                    if time_s < self.latest_s - _REBOOT_S and not self.damage:
-                        self.damage.append(
-                            f"the vehicle restarted at {self.latest_s:.1f} s; what follows is left out"
-                        )
                     self.latest_s = max(self.latest_s, time_s)
+                    self.samples += 1
+                    self.flown += bool(self.armed)
                     self.column("attitude").add(time_s, arrival_s, event.attitude)
                     self.column("body_rates").add(time_s, arrival_s, event.body_rates)
                 case PositionReceived():
@@ -133,7 +140,8 @@ class _Collector:
                 case _:
                     pass
 
-    def _sent(self, arrival_s: float, message: Any) -> None:
+    def sent(self, arrival_s: float, message: Any) -> None:
+        """A SET_ATTITUDE_TARGET to the vehicle."""
         mask = message.type_mask
         attitude: Vector3 | None = None
         if not mask & _IGNORE_ATTITUDE:
@@ -163,34 +171,120 @@ class _Collector:
             self.column(f"{prefix} thrust").add(time_s, arrival_s, (thrust,))
 
 
-def read(path: Path) -> FlightRecord:
-    """Read a telemetry log.
-
-    Raises UserError for a file that is none, or one without a vehicle's attitude in it.
+@dataclass
+class _Log:
+    """Chooses the vehicle: the first multirotor that says anything. Others, and what is sent to them, are not
+    mixed with it. `heartbeats` are those since the last attitude.
     """
-    collector = _Collector()
+
+    system: int | None = None
+    autopilot: str = ""
+    stretches: list[_Stretch] = field(default_factory=lambda: [_Stretch()])
+    heartbeats: list[tuple[float, Any]] = field(default_factory=list)
+    others: set[int] = field(default_factory=set)
+    foreign: dict[int, int] = field(default_factory=dict)
+    damage: list[str] = field(default_factory=list)
+
+    def take(self, arrival_s: float, message: Any) -> None:
+        """Sort in one message of anybody."""
+        kind, system = message.get_type(), message.get_srcSystem()
+        if kind == "SET_ATTITUDE_TARGET":
+            if message.target_system in (0, self.system):
+                self.stretches[-1].sent(arrival_s, message)
+            return
+        if message.get_srcComponent() != AUTOPILOT_COMPONENT:
+            return
+        if kind == "HEARTBEAT" and message.autopilot in _AUTOPILOTS:
+            self._recognise(message)
+        if self.system is None and kind == "ATTITUDE" and system not in self.foreign:
+            self.system = system
+        if system != self.system:
+            return
+        if kind == "HEARTBEAT":
+            self.heartbeats.append((arrival_s, message))
+        elif kind == "ATTITUDE":
+            if self.stretches[-1].ends_before(arrival_s, message):
+                self._begin_again()
+            self.heartbeats.clear()
+        self.stretches[-1].take(arrival_s, message)
+
+    def _begin_again(self) -> None:
+        self.stretches.append(_Stretch())
+        for arrival_s, heartbeat in self.heartbeats:
+            self.stretches[-1].take(arrival_s, heartbeat)
+
+    def _recognise(self, heartbeat: Any) -> None:
+        system = heartbeat.get_srcSystem()
+        if heartbeat.type not in MULTIROTORS:
+            self.foreign[system] = heartbeat.type
+            if system == self.system:
+                self.system, self.stretches = None, [_Stretch()]
+        elif self.system in (None, system):
+            self.system, self.autopilot = system, _AUTOPILOTS[heartbeat.autopilot]
+        else:
+            self.others.add(system)
+
+    def chosen(self) -> _Stretch:
+        """The stretch with most of the flight."""
+        return max(self.stretches, key=lambda stretch: (stretch.flown, stretch.samples))
+
+    def remarks(self) -> list[str]:
+        """What of the log is not looked at."""
+        remarks = []
+        if len(self.stretches) > 1:
+            number = self.stretches.index(self.chosen()) + 1
+            remarks.append(
+                f"the vehicle was started {len(self.stretches)} times; looked at is what followed "
+                f"start {number} alone"
+            )
+        if self.others:
+            names = ", ".join(map(str, sorted(self.others)))
+            remarks.append(f"system {self.system} is looked at; left out: system {names}")
+        return remarks
+
+    def nothing(self) -> str:
+        """Why there is no flight in the log."""
+        if self.foreign:
+            system, kind = min(self.foreign.items())
+            name = mavlink.enums["MAV_TYPE"][kind].name if kind in mavlink.enums["MAV_TYPE"] else kind
+            return f"no multirotor in this telemetry log: system {system} is a {name}"
+        return (
+            "no ATTITUDE of an autopilot in this telemetry log; record one of a flight, with ATTITUDE and "
+            "LOCAL_POSITION_NED at 50 Hz or more"
+        )
+
+
+def read(path: Path) -> FlightRecord:
+    """Read a telemetry log with its further parts (FLIGHT-2.tlog, ...).
+
+    Raises UserError for a file that is none, or one without a multirotor's attitude in it.
+    """
+    log = _Log()
+    for part in (path, *following_parts(path)):
+        _read_part(part, log)
+    stretch = log.chosen()
+    if "attitude" not in stretch.columns:
+        raise UserError(f"{path}: {log.nothing()}")
+    return _record(path, log, stretch)
+
+
+def _read_part(path: Path, log: _Log) -> None:
     reader = read_tlog(path)
     try:
         for time_us, message in reader:
-            collector.take(time_us * 1e-6, message)
+            log.take(time_us * 1e-6, message)
     except UserError as error:
-        if "attitude" not in collector.columns:
+        if not any(stretch.samples for stretch in log.stretches):
             raise
-        collector.damage.append(str(error).partition(": ")[2])
+        log.damage.append(str(error).partition(": ")[2])
     if reader.truncated:
-        collector.damage.append("the last record is incomplete")
+        log.damage.append("the last record is incomplete")
     if reader.damaged:
-        collector.damage.append(f"{reader.damaged} frames with a wrong checksum are left out")
-    if "attitude" not in collector.columns:
-        raise UserError(
-            f"{path}: no ATTITUDE of an autopilot in this telemetry log; record one of a flight, with "
-            "ATTITUDE and LOCAL_POSITION_NED at 50 Hz or more"
-        )
-    return _record(path, collector)
+        log.damage.append(f"{reader.damaged} frames with a wrong checksum are left out")
 
 
-def _record(path: Path, collector: _Collector) -> FlightRecord:
-    columns = collector.columns
+def _record(path: Path, log: _Log, stretch: _Stretch) -> FlightRecord:
+    columns = stretch.columns
     attitude = columns["attitude"].series(3)
     assert attitude.arrival_s is not None
     offset = float(np.median(attitude.arrival_s - attitude.time_s)) if attitude else 0.0
@@ -208,7 +302,9 @@ def _record(path: Path, collector: _Collector) -> FlightRecord:
     def arrived(name: str) -> Series:
         return columns[name].sent(offset, 1) if name in columns else empty(1)
 
-    thrust = target("thrust", 1)
+    thrust, throttle = target("thrust", 1), arrived("throttle")
+    if not sent and not _agree(thrust, throttle):
+        thrust = throttle
     return FlightRecord(
         path=path,
         source="tlog",
@@ -218,12 +314,24 @@ def _record(path: Path, collector: _Collector) -> FlightRecord:
         velocity=own("velocity", 3),
         attitude_setpoint=target("attitude", 3),
         rates_setpoint=target("rates", 3),
-        thrust=thrust if thrust else arrived("throttle"),
+        thrust=thrust,
         armed=arrived("armed"),
         landed=arrived("landed"),
-        notes=tuple(Note(time - offset, kind, text) for time, kind, text in collector.notes),
-        autopilot=collector.autopilot,
+        notes=tuple(Note(time - offset, kind, text) for time, kind, text in stretch.notes),
+        autopilot=log.autopilot,
         commands_sent=sent,
         clock_offset_s=offset,
-        damage=tuple(collector.damage),
+        damage=tuple(log.damage),
+        remarks=tuple(log.remarks()),
     )
+
+
+def _agree(thrust: Series, throttle: Series) -> bool:
+    """True if ATTITUDE_TARGET has the thrust that the motors got, VFR_HUD's throttle, as far as is known.
+
+    PX4 repeats an old one there while it follows body rates.
+    """
+    if not thrust or not throttle:
+        return bool(thrust)
+    differences = np.abs(thrust.held(throttle.time_s) - throttle.values)[throttle.values > 0.0]
+    return not differences.size or float(np.median(differences)) < _SAME_THRUST

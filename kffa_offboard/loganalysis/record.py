@@ -113,6 +113,7 @@ class FlightRecord:
         vehicle alone.
     clock_offset_s : arrival time less sample time, median; None without arrival times
     damage : what is wrong with the file; empty for a whole one
+    remarks : what else a reader should know of it
     """
 
     path: Path
@@ -131,6 +132,7 @@ class FlightRecord:
     commands_sent: bool = False
     clock_offset_s: float | None = None
     damage: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
 
     @property
     def start_s(self) -> float:

@@ -60,6 +60,7 @@ def summarize(found: Shadow, vehicle_mass_kg: float | None) -> dict[str, Any]:
         "autopilot": record.autopilot or None,
         "partial": record.partial,
         "damage": list(record.damage),
+        "remarks": list(record.remarks),
         "duration_s": _rounded(record.duration_s, 3),
         "airborne_s": _rounded(float(np.sum(np.diff(found.estimates.time_s)[air[1:]])), 3),
         "model": {"hover_thrust": _rounded(found.model.hover_thrust), "origin": found.model.origin},
@@ -120,6 +121,8 @@ def _tell(found: Shadow, summary: dict[str, Any], console: Console) -> None:
         console.print(
             f"PARTIAL: {problem}; {record.duration_s:.1f} s were read", soft_wrap=True, highlight=False
         )
+    for remark in record.remarks:
+        console.print(remark, soft_wrap=True, highlight=False)
     console.print(f"model: {found.model.origin}, hover thrust {found.model.hover_thrust:.3f}", soft_wrap=True)
     table = Table("telemetry", "rate Hz", "jitter ms", "gaps", "longest s")
     table.add_row(*_stream("attitude", found.attitude))
