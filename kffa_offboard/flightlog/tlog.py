@@ -12,6 +12,7 @@ from typing import IO, Any, TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.even_clock import EvenClock
 from kffa_offboard.flightlog.signals import LATEST_US, SignalTable, is_signals, table
 from kffa_offboard.frame_codec import decode
 
@@ -48,11 +49,16 @@ class TlogReader:
         the log is still being written. Everything before it was given out.
     damaged
         How many frames so far had a wrong checksum or an impossible time; they are left out.
+    clock_steps_s
+        By how much the clock was set while the log was written, each time so far; noticed with `even` only,
+        which takes the steps out of the times.
 
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, even: bool = False) -> None:
         self._path = path
+        self._even = even
+        self.clock_steps_s: list[float] = []
         self.truncated = False
         self.damaged = 0
 
@@ -76,7 +82,8 @@ class TlogReader:
         self.damaged = 0
         try:
             with _open(self._path) as file:
-                yield from self._records(file)
+                records = self._records(file)
+                yield from self._evened(records) if self._even else records
         except EOFError:  # a compressed file that was cut short
             self.truncated = True
         except (OSError, zlib.error) as error:
@@ -104,6 +111,11 @@ class TlogReader:
             else:
                 self.damaged += 1
 
+    def _evened(self, records: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
+        clock = EvenClock()
+        self.clock_steps_s = clock.steps_s
+        return clock.even(records)
+
     def _end_or_damage(self, file: _Source, head: bytes) -> None:
         """Zeros up to the end are what a file system leaves after a power cut; anything else is no log."""
         position = file.tell() - len(head)
@@ -119,9 +131,17 @@ def _open(path: Path) -> _Source:
     return gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb")
 
 
-def read_tlog(path: Path) -> TlogReader:
+def read_tlog(path: Path, *, even: bool = False) -> TlogReader:
     """Open a log for reading: ``for time_us, message in read_tlog(path)``."""
-    return TlogReader(path)
+    return TlogReader(path, even=even)
+
+
+def clock_remarks(reader: TlogReader) -> list[str]:
+    """A line if the clock was set while the log was written."""
+    if not reader.clock_steps_s:
+        return []
+    steps = ", ".join(f"{step:+.1f}" for step in reader.clock_steps_s)
+    return [f"the clock of the computer that wrote the log was set by {steps} s; times go on as if not"]
 
 
 def read_signals(path: Path) -> SignalTable:

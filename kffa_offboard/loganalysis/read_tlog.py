@@ -17,7 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.parts import following_parts
-from kffa_offboard.flightlog.tlog import read_tlog
+from kffa_offboard.flightlog.tlog import clock_remarks, read_tlog
 from kffa_offboard.loganalysis.record import FlightRecord, Note, Series, empty, series, series_with_arrival
 from kffa_offboard.mavlink import frames
 from kffa_offboard.mavlink.telemetry import TelemetryDecoder, landed_state
@@ -184,6 +184,7 @@ class _Log:
     others: set[int] = field(default_factory=set)
     foreign: dict[int, int] = field(default_factory=dict)
     damage: list[str] = field(default_factory=list)
+    clock: list[str] = field(default_factory=list)
 
     def take(self, arrival_s: float, message: Any) -> None:
         """Sort in one message of anybody."""
@@ -230,7 +231,7 @@ class _Log:
 
     def remarks(self) -> list[str]:
         """What of the log is not looked at."""
-        remarks = []
+        remarks = [*self.clock]
         if len(self.stretches) > 1:
             number = self.stretches.index(self.chosen()) + 1
             remarks.append(
@@ -269,7 +270,7 @@ def read(path: Path) -> FlightRecord:
 
 
 def _read_part(path: Path, log: _Log) -> None:
-    reader = read_tlog(path)
+    reader = read_tlog(path, even=True)
     try:
         for time_us, message in reader:
             log.take(time_us * 1e-6, message)
@@ -277,6 +278,7 @@ def _read_part(path: Path, log: _Log) -> None:
         if not any(stretch.samples for stretch in log.stretches):
             raise
         log.damage.append(str(error).partition(": ")[2])
+    log.clock += clock_remarks(reader)
     if reader.truncated:
         log.damage.append("the last record is incomplete")
     if reader.damaged:

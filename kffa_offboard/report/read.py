@@ -15,7 +15,7 @@ from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog import signals
 from kffa_offboard.flightlog.notes import End, Header, NoteReader, is_note
 from kffa_offboard.flightlog.parts import following_parts
-from kffa_offboard.flightlog.tlog import read_tlog
+from kffa_offboard.flightlog.tlog import clock_remarks, read_tlog
 from kffa_offboard.loganalysis import dataflash
 from kffa_offboard.loganalysis.read import ULOG_MAGIC
 from kffa_offboard.mavlink.component import Route
@@ -75,6 +75,8 @@ class _Collector:
     load_std: _Column = field(default_factory=_Column)
     events: list[tuple[int, FlightEvent]] = field(default_factory=list)
     remarks: list[str] = field(default_factory=list)
+    systems: set[int] = field(default_factory=set)
+    shown: int | None = None
     _notes: NoteReader = field(default_factory=NoteReader)
     _vehicle: Vehicle | None = None
     _own: tuple[int, int] | None = None
@@ -128,6 +130,8 @@ class _Collector:
             self.load_std.add(time_us, (message.value,))
 
     def _take_telemetry(self, time_us: int, message: Any) -> None:
+        if message.get_type() == "HEARTBEAT" and self._is_vehicle(message):
+            self.systems.add(message.get_srcSystem())
         if self._vehicle is None and not self._found(message):
             return
         assert self._vehicle is not None
@@ -146,14 +150,16 @@ class _Collector:
 
     def _found(self, message: Any) -> bool:
         """Recognise the vehicle by its first heartbeat; ground stations and gimbals are passed over."""
-        if message.get_type() != "HEARTBEAT" or message.autopilot not in _AUTOPILOTS:
+        if message.get_type() != "HEARTBEAT" or not self._is_vehicle(message):
             return False
-        if message.type not in MULTIROTORS:
-            return False
+        self.shown = message.get_srcSystem()
         self._vehicle = Vehicle(
             Route(target_system=message.get_srcSystem(), target_component=message.get_srcComponent())
         )
         return True
+
+    def _is_vehicle(self, heartbeat: Any) -> bool:
+        return heartbeat.autopilot in _AUTOPILOTS and heartbeat.type in MULTIROTORS
 
     def _take_heartbeat(self, time_us: int, event: HeartbeatReceived) -> None:
         if event.mode_name != self._mode:
@@ -219,7 +225,7 @@ def short_name(path: Path) -> str:
 
 
 def _read_part(path: Path, collector: _Collector) -> None:
-    log = read_tlog(path)
+    log = read_tlog(path, even=True)
     parser = mavlink.MAVLink(None)
     damaged = 0
     try:
@@ -237,6 +243,7 @@ def _read_part(path: Path, collector: _Collector) -> None:
         collector.remarks.append(str(error).partition(": ")[2])
     if damaged:
         collector.remarks.append(f"{damaged} frames of {path.name} with a wrong checksum are left out")
+    collector.remarks += clock_remarks(log)
     if log.truncated:
         collector.remarks.append(f"the last record of {path.name} is incomplete")
 
@@ -279,6 +286,9 @@ def _remarks(collector: _Collector) -> Iterator[str]:
             yield "the log has no inner signals of the controller: only what was measured is shown"
     if collector.header is not None and collector.end is None:
         yield "the log breaks off: the daemon was killed, or still writes it"
+    if others := collector.systems - {collector.shown}:
+        names = ", ".join(map(str, sorted(others)))
+        yield f"system {collector.shown} is shown; left out: system {names}"
 
 
 def _origin(header: Header | None, path: Path, begin_us: int) -> Origin:

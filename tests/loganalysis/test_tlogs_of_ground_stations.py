@@ -15,6 +15,7 @@ from kffa_offboard.flightlog.notes import Header
 from kffa_offboard.flightlog.tlog import TIMESTAMP, read_tlog
 from kffa_offboard.flightlog.writer import TlogWriter
 from kffa_offboard.loganalysis.read import read_log
+from kffa_offboard.report.read import read_flight
 
 Records = list[tuple[int, Any]]
 
@@ -63,7 +64,9 @@ def test_commands_to_another_vehicle_and_its_telemetry_are_not_mixed_in(
     records: Records, write: Callable[..., Path], log_files: dict[str, Path]
 ) -> None:
     alone = read_log(log_files["tlog"])
-    record = read_log(write(in_order(records, again(records, 0.005, system=2, thrust=0.9, roll=1.0))))
+    both = write(in_order(records, again(records, 0.005, system=2, thrust=0.9, roll=1.0)))
+    assert "system 1 is shown; left out: system 2" in read_flight(both).remarks
+    record = read_log(both)
     assert np.array_equal(record.attitude.values, alone.attitude.values)
     assert np.array_equal(record.thrust.values, alone.thrust.values)
     assert record.remarks == ("system 1 is looked at; left out: system 2",)
