@@ -14,7 +14,7 @@ from typing import Any
 
 from kffa_offboard.cli_fleet import Fleet
 from kffa_offboard.cli_report import FAILED, INTERRUPTED, reason, report
-from kffa_offboard.cli_status import StatusBoard, StatusConsole
+from kffa_offboard.cli_status import StatusBoard, StatusConsole, complain
 from kffa_offboard.cli_vehicle import RunOptions, Shared, VehicleRun, open_vehicle
 from kffa_offboard.config import DaemonConfig
 from kffa_offboard.errors import UserError
@@ -60,10 +60,12 @@ def run_several(configs: Mapping[str, DaemonConfig], options: RunOptions) -> int
 def run_one(config: DaemonConfig, options: RunOptions) -> int:
     """Fly `config` and return the exit status: 0 done, 1 failed, 130 stopped.
 
-    Raises UserError for a busy port, a missing device, no vehicle, a log that cannot be written, or real-time
+    A log that is not complete at the end is a failure that is told beside how the flight ended.
+    Raises UserError for a busy port, a missing device, no vehicle, a log that cannot be begun, or real-time
     scheduling that is required and not permitted.
     """
     realtime = replace(config.realtime, enabled=config.realtime.enabled or options.realtime)
+    result, failed = None, False
     try:
         with ExitStack() as stack:
             shared = stack.enter_context(shared_parts(realtime))
@@ -80,8 +82,13 @@ def run_one(config: DaemonConfig, options: RunOptions) -> int:
             vehicle.session.close(reason(result))
     except KeyboardInterrupt:  # a second Ctrl-C: at once, but the log is closed
         return INTERRUPTED
+    except UserError as error:
+        if result is None:
+            raise
+        complain(str(error))
+        failed = True
     status = report(shared.console, result, vehicle, options)
-    return status or (FAILED if vehicle.session.changed_parameters else 0)
+    return status or (FAILED if failed or vehicle.session.changed_parameters else 0)
 
 
 def _drive(vehicle: VehicleRun, options: RunOptions, shared: Shared, stop: threading.Event) -> RunResult:

@@ -1,6 +1,8 @@
 """What `run` loads, and what it does when the clock on the wall is wrong."""
 
 import ast
+import errno
+import json
 import subprocess
 import sys
 import time
@@ -12,7 +14,10 @@ import kffa_offboard
 from kffa_offboard import cli, cli_run
 from kffa_offboard.cli_vehicle import RunOptions, _log_path
 from kffa_offboard.config import bundled, load
-from kffa_offboard.mavlink.shell import real_time_clock
+from kffa_offboard.flightlog import writer
+from kffa_offboard.mavlink.session import Counters
+from kffa_offboard.mavlink.shell import RunResult, real_time_clock
+from kffa_offboard.offboard.state import Finished
 
 PACKAGE = Path(kffa_offboard.__file__).parent
 RUN_WITHOUT_VEHICLE = """
@@ -148,3 +153,19 @@ def test_the_log_of_a_run_without_a_vehicle_is_a_whole_one(tmp_path, capsys):
         cli.main(["replay", str(log)])
     assert replayed.value.code == 0
     assert "breaks off" not in capsys.readouterr().out
+
+
+def test_a_log_that_is_not_complete_is_told_beside_how_the_flight_ended(monkeypatch, tmp_path, capsys):
+    def full(sink, data):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    landed = RunResult(Counters(), Finished(True, "scenario done, landed"), stopped=False, refusal=None)
+    monkeypatch.setattr(writer._Sink, "_append", full)
+    monkeypatch.setattr(cli_run, "_drive", lambda vehicle, *_: vehicle.session.advance(1_000_000) or landed)
+    with pytest.raises(SystemExit) as ended:
+        arguments = ["--link", "udpin:127.0.0.1:0", "--log", str(tmp_path / "flight.tlog"), "--json"]
+        cli.main(["run", "--config", str(bundled("px4-udp.toml")), *arguments])
+    assert ended.value.code == 1, "not 2: nobody used it wrongly, and there was a vehicle"
+    said = capsys.readouterr()
+    assert "is not complete: No space left on device" in said.err
+    assert json.loads(said.out.splitlines()[-1])["reason"] == "scenario done, landed"

@@ -1,9 +1,9 @@
 """What a log must hold beside frames and signals, so that the flight can be repeated from it.
 
-Four kinds of note: the header (program, versions, configuration), requests from the daemon's own
+Five kinds of note: the header (program, versions, configuration), requests from the daemon's own
 command line or process and what its link noticed (they come in no MAVLink message), reports of the process,
-and the end. Each is a JSON object, cut into TUNNEL messages with a payload type of our own; ground stations
-pass over them. They are only ever in the file: none is sent.
+records that are missing, and the end. Each is a JSON object, cut into TUNNEL messages with a payload type of
+our own; ground stations pass over them. They are only ever in the file: none is sent.
 """
 
 from __future__ import annotations
@@ -79,9 +79,16 @@ class End:
     frames_dropped: int = 0
 
 
-Note: TypeAlias = Header | Request | ProcessReport | End
+@dataclass(frozen=True)
+class Lost:
+    """How many records are missing at this place: the disk was full, or too slow."""
 
-Checked = TypeVar("Checked", Header, End, IntrusionNoticed, StepTiming, Trouble)
+    records: int
+
+
+Note: TypeAlias = Header | Request | ProcessReport | Lost | End
+
+Checked = TypeVar("Checked", Header, End, Lost, IntrusionNoticed, StepTiming, Trouble)
 
 
 def to_messages(note: Note) -> list[Any]:
@@ -133,6 +140,8 @@ def _document(note: Note) -> dict[str, Any]:
             return {"note": "header", "format": FORMAT, **vars(note)}
         case End():
             return {"note": "end", **vars(note)}
+        case Lost():
+            return {"note": "lost", **vars(note)}
         case EngageRequested():
             return {"note": "request", "what": "engage"}
         case ReleaseRequested(reason):
@@ -163,6 +172,8 @@ def _note(document: dict[str, Any]) -> Note:
             return _checked(Header, fields)
         case {"note": "end", **fields}:
             return _checked(End, fields)
+        case {"note": "lost", **fields}:
+            return _checked(Lost, fields)
         case {"note": "request", "what": "engage"}:
             return EngageRequested()
         case {"note": "request", "what": "release", "reason": str(reason)}:

@@ -15,7 +15,7 @@ from typing import Any
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
-from kffa_offboard.flightlog.notes import End, Header, Note, Request, to_messages
+from kffa_offboard.flightlog.notes import End, Header, Lost, Note, Request, to_messages
 from kffa_offboard.flightlog.parts import part_path
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.flightlog.tlog import TIMESTAMP
@@ -167,7 +167,7 @@ class TlogWriter:
         All at once: taking records one by one would have to wait for the interpreter each time, and fall
         behind a busy main thread.
         """
-        done = False
+        done, told = False, 0
         while not done:
             self._due.wait(FLUSH_PERIOD_S)
             self._due.clear()
@@ -176,6 +176,9 @@ class TlogWriter:
             while self._records:
                 batch.append(self._records.popleft())
             self._sink.write(batch)
+            dropped = self._dropped  # after the batch that is being written
+            self._sink.untold += dropped - told
+            told = dropped
         self._sink.close()
 
 
@@ -198,6 +201,7 @@ class _Sink:
     header : what further files begin with
     problem : why records were lost first, None if none were
     lost : how many
+    untold : how many of them, and of those that never came here, a note in the file does not tell yet
     trouble : what is wrong now; None while all is well
     """
 
@@ -205,6 +209,8 @@ class _Sink:
         self.problem: str | None = None
         self.trouble: str | None = None
         self.lost = 0
+        self.untold = 0
+        self._last_us = 0
         self._path = path
         self.header = header
         self._notes = notes
@@ -221,14 +227,17 @@ class _Sink:
         try:
             for records in self._parts(batch):
                 self._append(records)
-            self.trouble = self._no_parts
+            self.trouble, self.untold = self._no_parts, 0
         except OSError as error:
             self.lost += len(batch)
+            self.untold += len(batch)
             self._note(error)
 
     def close(self) -> None:
         """Not before: waiting for the disk would keep the next records in a process that may be killed."""
         try:
+            if self.untold:  # there may be room for this
+                self._append(self._notes.records(self._last_us, Lost(self.untold)))
             os.fsync(self._file.fileno())
             self._file.close()
         except OSError as error:
@@ -238,10 +247,12 @@ class _Sink:
         """The batch, behind a header of its own if it begins a further file."""
         if self._part_size is not None and self._size >= self._part_size:
             self._begin_next_part()
-        body = b"".join(batch)
+        (time_us,) = TIMESTAMP.unpack_from(batch[0])
+        (self._last_us,) = TIMESTAMP.unpack_from(batch[-1])
+        missing = self._notes.records(time_us, Lost(self.untold)) if self.untold else b""
+        body = missing + b"".join(batch)
         if self.header is None or self._part == 1 or self._size > 0:
             return [body]
-        (time_us,) = TIMESTAMP.unpack_from(body)
         return [self._notes.records(time_us, replace(self.header, part=self._part)), body]
 
     def _begin_next_part(self) -> None:

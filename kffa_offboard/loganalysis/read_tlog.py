@@ -16,6 +16,7 @@ import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.notes import Lost, NoteReader, is_note
 from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.tlog import clock_remarks, read_tlog
 from kffa_offboard.loganalysis.record import FlightRecord, Note, Series, empty, series, series_with_arrival
@@ -189,6 +190,9 @@ class _Log:
     def take(self, arrival_s: float, message: Any) -> None:
         """Sort in one message of anybody."""
         kind, system = message.get_type(), message.get_srcSystem()
+        if is_note(message):
+            self._note(message)
+            return
         if kind == "SET_ATTITUDE_TARGET":
             if message.target_system in (0, self.system):
                 self.stretches[-1].sent(arrival_s, message)
@@ -208,6 +212,15 @@ class _Log:
                 self._begin_again()
             self.heartbeats.clear()
         self.stretches[-1].take(arrival_s, message)
+
+    def _note(self, message: Any) -> None:
+        """Of the daemon's notes only lost records concern us, which fit into one piece."""
+        try:
+            note = NoteReader().take(message)
+        except ValueError:
+            return
+        if isinstance(note, Lost):
+            self.damage.append(f"{note.records} records are missing (full disk)")
 
     def _begin_again(self) -> None:
         self.stretches.append(_Stretch())

@@ -64,6 +64,7 @@ def _tell_comparison(plan: ReplayPlan, recording: Recording, comparison: Compari
         "flight_s": flown_s,
         "replay_s": elapsed_s,
         "complete": recording.end is not None,
+        "records_lost": recording.lost,
         "recorded_with": _versions(recording.header),
         "difference": None if difference is None else asdict(difference),
     }
@@ -79,7 +80,9 @@ def _tell_comparison(plan: ReplayPlan, recording: Recording, comparison: Compari
 def _lines(recording: Recording, comparison: Comparison, flown_s: float, elapsed_s: float) -> list[str]:
     speed = flown_s / elapsed_s if elapsed_s > 0.0 else 0.0
     lines = [f"{flown_s:.1f} s of flight replayed in {elapsed_s:.2f} s ({speed:.0f} times real time)"]
-    if recording.end is None:
+    if recording.lost:
+        lines.append(f"{recording.lost} records are missing after that (full disk); compared up to there")
+    elif recording.end is None:
         lines.append("the log breaks off (the daemon was killed, or still writes it); compared up to there")
     if comparison.dropped:
         lines.append(f"{comparison.dropped} frames were not taken by the link in flight")

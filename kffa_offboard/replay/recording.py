@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
-from kffa_offboard.flightlog.notes import End, Header, Note, NoteReader, Request, is_note
+from kffa_offboard.flightlog.notes import End, Header, Lost, Note, NoteReader, Request, is_note
 from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.signals import is_signals
 from kffa_offboard.flightlog.tlog import read_tlog
@@ -41,6 +41,7 @@ class Recording:
     incoming : received messages and own requests, in order
     sent, signals : frames that went out, and frames of the controller's inner signals, in order
     end, end_us : how and when the run ended; None and the last record's time if the log breaks off
+    lost : how many records are missing after `end_us`; what follows them cannot be replayed, and is left out
     """
 
     path: Path
@@ -51,6 +52,7 @@ class Recording:
     signals: list[Frame] = field(repr=False)
     end: End | None
     end_us: int
+    lost: int = 0
 
 
 @uncollected()
@@ -81,11 +83,14 @@ class _Reader:
         self._begin_us = 0
         self._last_us = 0
         self._end: End | None = None
+        self._lost = 0
         self._incoming: list[Incoming] = []
         self._sent: list[Frame] = []
         self._signals: list[Frame] = []
 
     def take(self, time_us: int, frame: bytes) -> None:
+        if self._lost:
+            return
         if self._header is not None and self._is_ours(frame) and not _may_be_ours_alone(frame):
             self._sent.append((time_us, frame))
             self._last_us = time_us
@@ -127,6 +132,8 @@ class _Reader:
                         raise ValueError(f"is part {note.part} of a flight; name its first file")
                     self._header, self._begin_us, self._last_us = note, time_us, time_us
                     self._own = (message.get_srcSystem(), message.get_srcComponent())
+            case Lost():
+                self._lost = note.records
             case End():
                 self._end, self._last_us = note, time_us
             case None:
@@ -147,6 +154,7 @@ class _Reader:
             self._signals,
             self._end,
             self._last_us,
+            self._lost,
         )
 
 

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog import signals
-from kffa_offboard.flightlog.notes import End, Header, NoteReader, is_note
+from kffa_offboard.flightlog.notes import End, Header, Lost, NoteReader, is_note
 from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.tlog import clock_remarks, read_tlog
 from kffa_offboard.loganalysis import dataflash
@@ -91,7 +91,7 @@ class _Collector:
     def take(self, time_us: int, message: Any) -> None:
         """Sort in one message."""
         if is_note(message) and (self._own is None or self._is_own(message)):
-            self._take_note(message)
+            self._take_note(time_us, message)
         elif self._is_own(message):
             if signals.is_signals(message):
                 self.full.append(message)
@@ -107,7 +107,7 @@ class _Collector:
             return bool(message.get_srcComponent() == _OWN_COMPONENT)
         return (message.get_srcSystem(), message.get_srcComponent()) == self._own
 
-    def _take_note(self, message: Any) -> None:
+    def _take_note(self, time_us: int, message: Any) -> None:
         self._own = (message.get_srcSystem(), message.get_srcComponent())
         try:
             note = self._notes.take(message)
@@ -117,6 +117,9 @@ class _Collector:
             return
         if isinstance(note, Header) and self.header is None:
             self.header = note
+        elif isinstance(note, Lost):
+            since_s = (time_us - (self.first_us or 0)) / 1e6
+            self.remarks.append(f"{note.records} records are missing before {since_s:.1f} s (full disk)")
         elif isinstance(note, End):
             self.end = note
 

@@ -13,7 +13,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog import writer as writing
-from kffa_offboard.flightlog.notes import End, Header, NoteReader, is_note, notes, to_messages
+from kffa_offboard.flightlog.notes import End, Header, Lost, NoteReader, is_note, notes, to_messages
 from kffa_offboard.flightlog.parts import following_parts, part_path, without_parts
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.flightlog.writer import TlogWriter
@@ -97,6 +97,7 @@ def test_a_full_disk_leaves_a_readable_log_that_goes_on_when_there_is_room_again
     sink.close()
     assert times_in(path) == [*range(8), *range(24, 32)]
     assert sink.lost == 16
+    assert [*notes(m for _, m in read_tlog(path))] == [Lost(16)], "the hole is told where it is"
     assert sink.problem == "No space left on device"
 
 
@@ -110,6 +111,16 @@ def test_a_full_disk_is_reported_at_the_end_and_does_not_stop_the_flight(tmp_pat
     ):
         writer.close()
     writer.close()
+
+
+def test_records_that_were_lost_at_the_end_are_told_if_there_is_room_for_a_note(tmp_path, small_disk):
+    path = tmp_path / "flight.tlog"
+    small_disk(4 * len(record(0)))
+    sink = make_sink(path)
+    sink.write([record(0)])
+    sink.write([record(n) for n in range(1, 9)])
+    sink.close()
+    assert [*notes(m for _, m in read_tlog(path))] == [Lost(8)]
 
 
 def test_what_comes_faster_than_in_a_flight_does_not_wait_until_the_period_is_over(tmp_path, monkeypatch):

@@ -13,12 +13,15 @@ from kffa_offboard.cli import app
 from kffa_offboard.config import bundled, load
 from kffa_offboard.config_log import config_of
 from kffa_offboard.errors import UserError
+from kffa_offboard.flightlog.notes import Lost, to_messages
 from kffa_offboard.flightlog.tlog import TIMESTAMP, read_tlog
+from kffa_offboard.loganalysis.read import read_log
 from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.offboard.events import GiveUpRequested
 from kffa_offboard.replay.compare import compare, what_if
 from kffa_offboard.replay.engine import replay, replay_what_if
 from kffa_offboard.replay.recording import read_recording
+from kffa_offboard.report.read import read_flight
 
 
 @pytest.fixture(scope="module")
@@ -122,6 +125,25 @@ def test_a_log_that_breaks_off_is_compared_as_far_as_it_goes(drop, tmp_path):
     result = CliRunner().invoke(app, ["replay", str(log)])
     assert result.exit_code == 0
     assert "breaks off" in result.output
+
+
+def test_a_log_with_a_hole_is_compared_up_to_there_and_its_readers_say_so(drop, tmp_path):
+    log, records = tmp_path / "hole.tlog", [*read_tlog(drop).frames()]
+    first = len(records) // 2
+    packer = mavlink.MAVLink(None, srcSystem=245, srcComponent=191)
+    missing = [(records[first][0], bytes(message.pack(packer))) for message in to_messages(Lost(500))]
+    kept = [*records[:first], *missing, *records[first + 500 :]]
+    log.write_bytes(b"".join(TIMESTAMP.pack(time_us) + frame for time_us, frame in kept))
+    recording, again = replayed(log)
+    assert recording.lost == 500
+    comparison = compare(recording, again)
+    assert comparison.difference is None
+    assert comparison.frames > 1000
+    said = CliRunner().invoke(app, ["replay", str(log)]).output
+    assert "500 records are missing after that (full disk); compared up to there" in said
+    assert "breaks off" not in said
+    assert any(remark.startswith("500 records are missing before ") for remark in read_flight(log).remarks)
+    assert "500 records are missing (full disk)" in read_log(log).damage
 
 
 def test_frames_that_the_link_did_not_take_are_told_apart_from_differences(lock_step_flight, tmp_path):
