@@ -12,6 +12,9 @@ from kffa_offboard.offboard.events import IntrusionNoticed
 MOST_NOTICES = 16
 """So many of the link's own observations wait to be told at most."""
 
+MOVED_US = 3_000_000
+"""A vehicle that was silent for so long may come back from another address: control has long ended then."""
+
 
 class Reception:
     """Finds the messages of one link, and ties it to the vehicle.
@@ -29,6 +32,7 @@ class Reception:
         self._rivals = rivals
         self._parser = FrameParser(link.keeps_frames_whole)
         self._notices: list[IntrusionNoticed] = []
+        self._heard_us: int | None = None
         self.bytes_received = 0
         self.heard: set[tuple[int, int]] = set()
 
@@ -47,7 +51,8 @@ class Reception:
     def read(self, datagram: Datagram) -> list[Message]:
         """Messages in a datagram. The first one of the target ties the link to its sender.
 
-        What comes under our own ids is left out, and whatever strangers say.
+        What comes under our own ids is left out, and whatever strangers say; but a vehicle that has been
+        silent for `MOVED_US` may be one of them: it or a router was started again.
         """
         self.bytes_received += len(datagram.data)
         if datagram.notice:
@@ -56,6 +61,7 @@ class Reception:
         if datagram.stranger:
             self._look_at_stranger(datagram, messages)
             return []
+        self._heard_us = datagram.time_us
         route, ours = self._route, False
         for message in messages:
             header = message.get_header()
@@ -72,12 +78,18 @@ class Reception:
             self._notices.append(IntrusionNoticed(text, consequence))
 
     def _look_at_stranger(self, datagram: Datagram, messages: list[Message]) -> None:
-        """A vehicle with the same id beside the one that the link is tied to."""
-        if any(self._route.from_target(message) for message in messages):
-            source = datagram.source
-            place = f"{source[0]}:{source[1]}" if isinstance(source, tuple) else str(source)
-            ids = f"{self._route.target_system}/{self._route.target_component}"
+        """A vehicle with the same id beside the one that the link is tied to, or in its place."""
+        if not any(self._route.from_target(message) for message in messages):
+            return
+        source = datagram.source
+        place = f"{source[0]}:{source[1]}" if isinstance(source, tuple) else str(source)
+        ids = f"{self._route.target_system}/{self._route.target_component}"
+        if self._heard_us is not None and datagram.time_us - self._heard_us < MOVED_US:
             self._notice(f"another vehicle is {ids}: {place}", "forbids")
+            return
+        self._link.lock(source)
+        self._heard_us = datagram.time_us
+        self._notice(f"vehicle {ids} is now at {place}", "forbids")
 
     def _without_own(self, messages: list[Message]) -> list[Message]:
         """Leave out what is under our own ids: an echo, or a second daemon. The log takes it for ours."""

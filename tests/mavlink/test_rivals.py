@@ -143,12 +143,12 @@ def session(route):
     return session
 
 
-def read(session, frame, source=("127.0.0.1", 14550), **marks):
+def read(session, frame, source=("127.0.0.1", 14550), time_us=NOW_US, **marks):
     """Hand over a datagram as the real-time loop does; the messages that are left."""
-    messages = session.read(Datagram(NOW_US, frame, source, **marks))
+    messages = session.read(Datagram(time_us, frame, source, **marks))
     for message in messages:
-        session.handle(NOW_US, message)
-    session.report_notices(NOW_US)
+        session.handle(time_us, message)
+    session.report_notices(time_us)
     return messages
 
 
@@ -166,6 +166,23 @@ def test_a_second_vehicle_at_another_address_is_noticed_and_not_listened_to(sess
     assert noticed_by(session) == session._recorder.requests == [expected]
     assert session.link.locked == ("127.0.0.1", 14550)
     assert beat not in session._recorder.frames
+
+
+def test_a_vehicle_that_comes_back_from_another_address_after_silence_is_listened_to(session, scripted):
+    """The autopilot, or the router before it, was started again: the port of its end is a new one."""
+    vehicle, elsewhere = scripted(), ("127.0.0.1", 40001)
+    beat = vehicle.pack(scripted.heartbeat())
+    read(session, beat)
+    assert read(session, beat, elsewhere, NOW_US + 2_900_000, stranger=True) == []
+    assert session.link.locked == ("127.0.0.1", 14550)
+    read(session, scripted(255, 190).pack(scripted.heartbeat()), elsewhere, NOW_US + 3_000_000, stranger=True)
+    assert session.link.locked == ("127.0.0.1", 14550), "a ground station is no vehicle"
+    read(session, beat, elsewhere, NOW_US + 3_100_000, stranger=True)
+    assert session.link.locked == elsewhere
+    assert noticed_by(session)[-1] == IntrusionNoticed("vehicle 1/1 is now at 127.0.0.1:40001", "forbids")
+    assert len(read(session, beat, elsewhere, NOW_US + 3_200_000)) == 1
+    read(session, beat, ("127.0.0.1", 14550), NOW_US + 3_300_000, stranger=True)
+    assert session.link.locked == elsewhere, "now that one is the stranger"
 
 
 def test_a_ground_station_at_another_address_is_nothing_to_speak_of(session, scripted):
