@@ -20,6 +20,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from kffa_offboard.offboard.events import (
     EngageRequested,
     GiveUpRequested,
+    HangNoticed,
     IntrusionNoticed,
     ProcessReport,
     ReleaseRequested,
@@ -38,7 +39,7 @@ _PAYLOAD_SIZE = 128
 _TEXT_SIZE = _PAYLOAD_SIZE - _CHUNK.size
 
 NoteKind: TypeAlias = Literal["header", "request", "report", "end"]
-Request: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | GiveUpRequested
+Request: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | GiveUpRequested | HangNoticed
 
 
 @dataclass(frozen=True)
@@ -88,7 +89,7 @@ class Lost:
 
 Note: TypeAlias = Header | Request | ProcessReport | Lost | End
 
-Checked = TypeVar("Checked", Header, End, Lost, IntrusionNoticed, StepTiming, Trouble)
+Checked = TypeVar("Checked", Header, End, HangNoticed, IntrusionNoticed, Lost, StepTiming, Trouble)
 
 
 def to_messages(note: Note) -> list[Any]:
@@ -148,6 +149,8 @@ def _document(note: Note) -> dict[str, Any]:
             return {"note": "request", "what": "release", "reason": reason}
         case GiveUpRequested():
             return {"note": "request", "what": "give up"}
+        case HangNoticed(seconds):
+            return {"note": "request", "what": "hang", "seconds": seconds}
         case IntrusionNoticed(text, consequence):
             return {"note": "request", "what": "intrusion", "text": text, "consequence": consequence}
         case StepTiming():
@@ -180,6 +183,8 @@ def _note(document: dict[str, Any]) -> Note:
             return ReleaseRequested(reason)
         case {"note": "request", "what": "give up" | "put back"}:  # as it was called first
             return GiveUpRequested()
+        case {"note": "request", "what": "hang", **fields}:
+            return _checked(HangNoticed, fields)
         case {"note": "request", "what": "intrusion", **fields}:
             return _checked(IntrusionNoticed, fields)
         case {"note": "report", "what": "timing", **fields}:

@@ -29,6 +29,7 @@ from kffa_offboard.offboard.events import (
     EngageRequested,
     Event,
     GiveUpRequested,
+    HangNoticed,
     HeartbeatReceived,
     IntrusionNoticed,
     Output,
@@ -43,7 +44,9 @@ Observer: TypeAlias = Callable[[int, Event | Output | ProcessReport], None]
 """Is told every event before and every output after the service, with its time [us]; for status lines."""
 
 
-ProcessRequest: TypeAlias = EngageRequested | ReleaseRequested | IntrusionNoticed | GiveUpRequested
+ProcessRequest: TypeAlias = (
+    EngageRequested | ReleaseRequested | IntrusionNoticed | GiveUpRequested | HangNoticed
+)
 """What comes in no MAVLink message, but from the daemon's own process or its link."""
 
 

@@ -25,13 +25,16 @@ from kffa_offboard.mavlink.commands import heartbeat, is_timesync_request
 from kffa_offboard.mavlink.component import Component, Message
 from kffa_offboard.mavlink.session import Counters, Session
 from kffa_offboard.mavlink.transport import Clock, Datagram
-from kffa_offboard.offboard.events import OwnHeartbeat, ProcessReport, ReleaseRequested
+from kffa_offboard.offboard.events import HangNoticed, OwnHeartbeat, ProcessReport, ReleaseRequested
 
 LONGEST_SLEEP_S = 0.1
 """How late a stop request may be noticed."""
 
 RELEASE_LIMIT_S = 3.0
 """How long the service may take to let go after a stop request; then it is told to give up."""
+
+HANG_S = 1.0
+"""A turn that comes so late finds others flying: PX4 waits no longer for setpoints (COM_OF_LOSS_T)."""
 
 HELLO_PERIOD_S = 1.0
 
@@ -141,7 +144,9 @@ class RealTimeLoop:
     def turn(self, datagrams: Sequence[Datagram]) -> None:
         """Handle what arrived, do what is due, report."""
         session = self.session
-        self._watch_deadline(self._due_us, datagrams[0].time_us if datagrams else self._clock())
+        begun_us = datagrams[0].time_us if datagrams else self._clock()
+        self._watch_deadline(self._due_us, begun_us)
+        self._notice_hang(self._turned_us, begun_us)
         for datagram in datagrams:
             for message in session.read(datagram):
                 if take_message(session, datagram.time_us, message):
@@ -149,6 +154,7 @@ class RealTimeLoop:
             session.report_notices(datagram.time_us)
         if not session.done:
             now_us = self._clock()
+            self._notice_hang(datagrams[-1].time_us if datagrams else begun_us, now_us)
             if datagrams:
                 self._watch_deadline(session.next_deadline(), now_us)
             session.advance(now_us)
@@ -162,6 +168,11 @@ class RealTimeLoop:
         for report in self._watch.ended():
             session.report(self._clock(), report)
         return RunResult(session.counters, session.service.finished, self._stop.is_set(), session.refusal)
+
+    def _notice_hang(self, since_us: int, now_us: int) -> None:
+        """What fell due meanwhile must not be sent now: the service is told at the time when it began."""
+        if now_us - since_us >= HANG_S * 1e6 and self.session.connected:
+            self.session.request(since_us, HangNoticed((now_us - since_us) * 1e-6))
 
     def _watch_deadline(self, due_us: int | None, now_us: int) -> None:
         """What was due by the last turn was done then, so nothing can be later than since then."""

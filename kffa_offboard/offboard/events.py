@@ -186,6 +186,13 @@ class GiveUpRequested:
 
 
 @dataclass(frozen=True, slots=True)
+class HangNoticed:
+    """The daemon stood still for so long (stopped, or without a processor) that it has lost control."""
+
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
 class PositionSetpoint:
     """Go to x, y and z [m] from the estimator's origin, heading `yaw` [rad]; None leaves it as it is.
 
@@ -221,6 +228,7 @@ Event: TypeAlias = (
     | LinkMeasured
     | IntrusionNoticed
     | GiveUpRequested
+    | HangNoticed
     | PositionSetpoint
     | AttitudeSetpoint
 )

@@ -218,6 +218,8 @@ class Service(ControlSession):
                 self._release(time_us, event.reason, event.stay)
             case events.GiveUpRequested():
                 self._give_up(time_us)
+            case events.HangNoticed():
+                self._hung(event.seconds)
             case events.StatusReceived():
                 pass  # the log has it
             case _:

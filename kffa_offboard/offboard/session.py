@@ -118,6 +118,16 @@ class Session:
         self._let_go(State.READY)
         self._say(Severity.WARNING, f"control given up: {what}")
 
+    def _hung(self, seconds: float) -> None:
+        """The daemon did nothing for so long that it has lost control: no last words, and no request.
+
+        PX4 returns to OFFBOARD with the next setpoint, whatever its own failsafe has begun meanwhile.
+        """
+        if self.state in SENDING:
+            self._take_over(f"the daemon hung for {seconds:.1f} s")
+        elif self._retry is not None:
+            self._finish(self._outcome)
+
     def _let_go(self, state: State) -> None:
         """Nothing is in the daemon's hands any more."""
         self.state = state

@@ -16,6 +16,7 @@ from kffa_offboard.offboard.events import (
     AttitudeTarget,
     EngageRequested,
     GiveUpRequested,
+    HangNoticed,
     HeartbeatReceived,
     OwnHeartbeat,
     ReleaseRequested,
@@ -155,6 +156,43 @@ def test_events_reach_the_service_with_their_arrival_time_and_their_sample_time(
     attitude = service.told[1][1]
     assert isinstance(attitude, AttitudeReceived)
     assert (attitude.sample_time_us, attitude.attitude[1]) == (42_000, pytest.approx(-0.2))
+
+
+class StoppedLink(ScriptedLink):
+    """The process is stopped for 3 s while it waits, or while it handles what came."""
+
+    def __init__(self, script, while_waiting):
+        super().__init__(script)
+        self.stopped_us = 3_000_000
+        self.while_waiting = while_waiting
+
+    def receive(self, timeout_s):
+        if self.while_waiting and self.now_us > START_US + 500_000:
+            self.now_us += self.stopped_us
+            self.stopped_us = 0
+        return super().receive(timeout_s)
+
+    def stop_here(self, time_us, item):
+        if not self.while_waiting and isinstance(item, AttitudeReceived):
+            self.now_us += self.stopped_us
+            self.stopped_us = 0
+
+
+@pytest.mark.parametrize("while_waiting", [True, False])
+def test_a_process_that_was_stopped_tells_the_service_before_what_fell_due_meanwhile(
+    autopilot, beat, while_waiting
+):
+    """Ctrl-Z and fg, say: what would be sent for then finds a vehicle that somebody else flies by now."""
+    arrived_us = START_US + 495_000
+    link = StoppedLink([(START_US, beat), (arrived_us, autopilot.pack(autopilot.attitude(1)))], while_waiting)
+    service = FakeService(finish_us=START_US + 5_000_000)
+    recorder = FakeRecorder()
+    run(service, link, recorder=recorder, observer=link.stop_here)
+    ((told_us, noticed),) = service.events(HangNoticed)
+    assert arrived_us <= told_us <= START_US + 700_000, "when it began"
+    assert noticed.seconds == pytest.approx(3.0, abs=0.11)
+    assert max(time_us for time_us in service.advanced if time_us <= told_us) <= told_us
+    assert recorder.requests == [(told_us, noticed)]
 
 
 def test_another_systems_attitude_never_reaches_the_service(autopilot, scripted, beat):

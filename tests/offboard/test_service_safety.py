@@ -52,6 +52,27 @@ def test_another_mode_ends_sending_within_the_same_call(fake, mode):
     assert_silent(flight)
 
 
+@pytest.mark.parametrize("action", ["stop", "hold", "land"])
+def test_a_daemon_that_hung_gives_control_up_in_silence(fake, action):
+    """The autopilot's own failsafe flies by then, or a pilot: neither is to be disturbed."""
+    flight = hovering(fake, failsafe_action=action)
+    flight.give(events.HangNoticed(3.04))
+    assert flight.texts == ["control given up: the daemon hung for 3.0 s"]
+    assert not flight.sent(SENT)
+    assert_silent(flight)
+
+
+def test_a_daemon_that_hung_while_it_asked_for_land_mode_asks_no_more(fake):
+    flight = hovering(fake, failsafe_action="land")
+    flight.vehicle.grants_mode = False
+    flight.mute = {events.AttitudeReceived}
+    flight.run_to(State.FAILSAFE, 0.3)
+    assert flight.sent(SetMode)
+    flight.give(events.HangNoticed(3.0))
+    assert flight.service.finished == Finished(False, "failsafe: no attitude for 0.25 s")
+    assert_silent(flight)
+
+
 def test_another_mode_of_the_same_kind_is_the_pilots_too(fake):
     flight = hovering(fake)
     flight.give(replace(flight.vehicle.heartbeat(), custom_mode=20, mode_name="GUIDED_NOGPS"))
