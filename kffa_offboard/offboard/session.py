@@ -334,11 +334,15 @@ class Session:
             self._emit(*farewell(self.settings, self._loop, self._flight, self._known))
 
     def _failsafe_request(self) -> SetMode | SetArmed | None:
-        """On the ground disarm what was armed here; in the air the configured mode, if any."""
+        """On the ground disarm what was armed here; in the air the configured mode, if any.
+
+        A thrust ramp counts as the ground: the autopilot refuses to disarm what has left it.
+        """
         flight, engagement = self._flight, self._engagement
-        if flight is not None and flight.phase is Phase.GROUND:
+        if flight is not None and flight.phase is not Phase.AIR:
             armed_here = engagement.arm_asked if engagement is not None else self._armed_here
-            return SetArmed(False) if armed_here else None
+            if armed_here or flight.phase is Phase.GROUND:
+                return SetArmed(False) if armed_here else None
         if engagement is not None and not sequence.mode_granted(engagement):
             return None  # it is not ours to bring down: the pilot's, or the autopilot's own failsafe's
         action = self.settings.failsafe_action

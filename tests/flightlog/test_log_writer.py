@@ -17,7 +17,7 @@ from kffa_offboard.flightlog.notes import End, Header, Lost, NoteReader, is_note
 from kffa_offboard.flightlog.parts import following_parts, part_path, without_parts
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.flightlog.writer import TlogWriter
-from kffa_offboard.offboard.events import EngageRequested, ReleaseRequested
+from kffa_offboard.offboard.events import EngageRequested, HangNoticed, ReleaseRequested
 
 START_US = 1_700_000_000_000_000
 HEADER = Header(
@@ -242,7 +242,13 @@ def test_a_further_file_that_is_missing_between_others_is_named(tmp_path):
 
 @pytest.mark.parametrize(
     "note",
-    [HEADER, EngageRequested(), ReleaseRequested("Strg-C, “stop”"), End("landed", frames_dropped=3)],
+    [
+        HEADER,
+        EngageRequested(),
+        ReleaseRequested("Strg-C, “stop”"),
+        HangNoticed(3.25),
+        End("landed", frames_dropped=3),
+    ],
     ids=lambda note: type(note).__name__,
 )
 def test_a_note_survives_its_way_through_frames(note):

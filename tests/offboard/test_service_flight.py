@@ -446,6 +446,33 @@ def test_a_failsafe_on_the_ground_whose_disarming_is_refused_says_so_and_asks_fo
     assert flight.service.finished == Finished(False, "failsafe: no attitude for 0.25 s")
 
 
+@pytest.mark.parametrize("landing", [False, True])
+def test_a_failsafe_in_a_thrust_ramp_disarms(fake, landing):
+    """It ended with an armed vehicle on the ground, at the ramp's thrust until the autopilot's timeout."""
+    flight = fake.Lockstep(fake.settings(flight=FlightSettings(touchdown_ramp_s=2.0))).run_to(State.ENGAGED)
+    flight.run(3.0, lambda: thrusts(flight)[-1] > 0.2)
+    if landing:
+        flight.run(20.0, lambda: flight.vehicle.position > 1.0)
+        flight.run(20.0, lambda: flight.vehicle.grounded)
+        flight.run(3.0, lambda: thrusts(flight)[-1] < flight.service.settings.limits.thrust_min)
+    flight.mute = {events.AttitudeReceived}
+    flight.run_to(State.FAILSAFE, 0.3)
+    assert thrusts(flight)[-1] > 0.0, "the last setpoint is the ramp's"
+    flight.run(1.1)
+    assert not flight.vehicle.armed
+    assert flight.service.finished == Finished(False, "failsafe: no attitude for 0.25 s")
+
+
+def test_a_failsafe_in_a_thrust_ramp_of_a_vehicle_that_has_left_the_ground_asks_for_land_mode(fake):
+    flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
+    flight.run(3.0, lambda: thrusts(flight)[-1] > 0.2)
+    flight.vehicle.grants_arming = False
+    flight.mute = {events.AttitudeReceived}
+    flight.run_to(State.FAILSAFE, 0.3)
+    flight.run(2.5)
+    assert flight.sent(SetMode)[-1][1] == LAND
+
+
 def test_a_failsafe_on_the_ground_does_not_end_with_an_answer_that_nothing_shows(fake):
     """That to the request to arm, for instance, which comes late."""
     flight = failsafe_on_the_ground(fake)
