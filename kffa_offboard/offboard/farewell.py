@@ -22,13 +22,14 @@ def farewell(
     """One setpoint, or none if nothing was sent yet or the vehicle stands on the ground.
 
     Thrust is a mean of the last setpoints (`carrying`), which carries a load, too; while thrust is ramped up
-    or down near the ground, no more than was sent last.
+    or down near the ground, or where touch-down shows already, no more than was sent last.
     """
     if loop is None or loop.sent is None or loop.carrying is None or flight is None or known.attitude is None:
         return ()
     if flight.phase is Phase.GROUND:
         return ()
-    thrust, airborne = loop.carrying.thrust, flight.phase is Phase.AIR
+    landed = flight.slow_since_us is not None and flight.seen_in_air and known.on_ground is True
+    thrust, airborne = loop.carrying.thrust, flight.phase is Phase.AIR and not landed
     if not airborne:
         thrust = min(thrust, loop.sent.thrust)
     level = AttitudeTarget(thrust, attitude=(0.0, 0.0, known.attitude.attitude[2]))

@@ -92,7 +92,7 @@ class Vehicle:
 
     @property
     def grounded(self):
-        return self.position <= 1e-6
+        return bool(self.position <= 1e-6)
 
     def receive(self, time_us, output):
         """React to one output; answers follow as events."""

@@ -4,7 +4,7 @@ import pytest
 
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind
-from kffa_offboard.offboard.segments import Hold
+from kffa_offboard.offboard.segments import Hold, Land, Takeoff
 from kffa_offboard.offboard.service import State
 
 
@@ -32,6 +32,20 @@ def test_the_last_setpoint_of_a_failsafe_in_the_air_is_level_with_the_thrust_tha
     assert farewell.body_rates is None
     assert farewell.attitude == pytest.approx((0.0, 0.0, flight.vehicle.attitude[2]))
     assert farewell.thrust == pytest.approx(carried, abs=0.02)
+
+
+def test_the_last_setpoint_to_a_vehicle_that_has_touched_down_does_not_raise_thrust_again(fake):
+    """Its mean is still that of the descent: a vehicle that stands got nearly the thrust of a hover."""
+    flight = fake.Lockstep(fake.settings(scenario=(Takeoff(2.0, 1.0), Land(0.7)))).run_to(State.ENGAGED)
+    flight.run(20.0, lambda: flight.vehicle.position > 1.5)
+    flight.run(20.0, lambda: flight.vehicle.grounded)
+    flight.run(0.4)
+    assert flight.service.state is State.ENGAGED
+    last = flight.sent(AttitudeTarget)[-1][1].thrust
+    assert 0.0 < last < 0.8 * fake.hover
+    flight.mute = {events.AttitudeReceived}
+    flight.run_to(State.FAILSAFE, 0.3)
+    assert flight.sent(AttitudeTarget)[-1][1].thrust == pytest.approx(last)
 
 
 def test_there_is_no_farewell_on_the_ground_nor_to_a_pilot_who_took_over(fake):
