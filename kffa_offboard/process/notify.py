@@ -29,6 +29,7 @@ class ServiceManager:
         self._socket: socket.socket | None = None
         self._pinged_us: int | None = None
         self._status = ""
+        self._owed = ""
         if self._address is not None:
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_CLOEXEC)
             self._socket.setblocking(False)
@@ -40,25 +41,26 @@ class ServiceManager:
 
     def ready(self) -> None:
         """Say that what must work at the start does: link and log are open."""
-        self._send("READY=1")
+        self._owed = "" if self._send("READY=1") else "READY=1"
 
     def stopping(self) -> None:
         """Say that the end has begun, and stop being watched for hanging."""
         self._send("STOPPING=1")
 
     def status(self, text: str) -> None:
-        """Say how we are, one line; the same line again is not repeated."""
-        if text != self._status:
+        """Say how we are, one line; the same line again is not repeated, unless it did not get through."""
+        if text != self._status and self._send(f"STATUS={' '.join(text.split())}"):
             self._status = text
-            self._send(f"STATUS={' '.join(text.split())}")
 
     def turned(self, now_us: int) -> None:
         """Say that the control loop has come round, as often as the manager wants to hear it."""
+        if self._owed and self._send(self._owed):
+            self._owed = ""
         if self._period_us is None:
             return
-        if self._pinged_us is None or now_us - self._pinged_us >= self._period_us:
+        due = self._pinged_us is None or now_us - self._pinged_us >= self._period_us
+        if due and self._send("WATCHDOG=1"):
             self._pinged_us = now_us
-            self._send("WATCHDOG=1")
 
     def close(self) -> None:
         """Give the socket back. May be called twice."""
@@ -66,13 +68,15 @@ class ServiceManager:
             self._socket.close()
             self._socket = None
 
-    def _send(self, text: str) -> None:
+    def _send(self, text: str) -> bool:
+        """False if it did not get through: a manager that restarts or does not read. Flying goes on."""
         if self._socket is None or self._address is None:
-            return
+            return True
         try:
             self._socket.sendto(text.encode(), self._address)
         except OSError:
-            return  # a manager that restarts or does not read; flying goes on without it
+            return False
+        return True
 
 
 def _address(place: str) -> str | None:

@@ -72,6 +72,22 @@ def test_without_a_manager_or_with_one_that_is_gone_nothing_happens(tmp_path):
         daemon.stopping()
 
 
+def test_what_did_not_get_through_to_a_manager_that_did_not_read_is_said_again(manager):
+    """Without READY=1 it would take the daemon for one that did not start, and end it."""
+    listener, environment = manager
+    daemon = ServiceManager(environment)
+    for n in range(5000):
+        daemon.status(str(n))
+    daemon.ready()
+    daemon.turned(0)
+    daemon.status("engaged")
+    assert "READY=1" not in heard(listener)
+    daemon.turned(10_000)
+    daemon.status("engaged")
+    daemon.status("engaged")
+    assert heard(listener) == ["READY=1", "WATCHDOG=1", "STATUS=engaged"]
+
+
 def test_a_manager_that_does_not_read_does_not_make_us_wait(manager):
     _, environment = manager
     daemon = ServiceManager(environment)
