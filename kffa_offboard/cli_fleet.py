@@ -101,6 +101,7 @@ class Fleet:
     def _close(self, member: _Member) -> None:
         """In a thread of its own: closing a log waits for the disk."""
         self._members.remove(member)
+        member.vehicle.session.fall_silent()
         thread = threading.Thread(target=self._close_now, args=(member,), name="closing")
         thread.start()
         self._closing.append(thread)

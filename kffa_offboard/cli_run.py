@@ -74,8 +74,10 @@ def run_one(config: DaemonConfig, options: RunOptions) -> int:
             prepare(realtime, shared)
             try:
                 result = _drive(vehicle, options, shared, stop)
-            except UserError as error:
-                vehicle.session.close(str(error))
+            except BaseException as error:
+                vehicle.session.fall_silent()
+                if isinstance(error, UserError):
+                    vehicle.session.close(str(error))
                 raise
             finally:
                 shared.manager.stopping()

@@ -119,7 +119,7 @@ def test_errors_and_even_mistakes_of_one_vehicle_leave_the_others_flying(monkeyp
         "broken": (5, ZeroDivisionError("a mistake")),
         "well": (50, None),
     }
-    closed, reader = [], os.pipe()[0]
+    closed, silent, reader = [], [], os.pipe()[0]
 
     class Opened:
         def __init__(self, config, options, shared, name):
@@ -129,6 +129,7 @@ def test_errors_and_even_mistakes_of_one_vehicle_leave_the_others_flying(monkeyp
             turns, error = ends[self.name]
             link = SimpleNamespace(descriptor=reader, receive=lambda timeout_s: [])
             session = SimpleNamespace(turns=turns, error=error, link=link, close=lambda reason: None)
+            session.fall_silent = lambda: silent.append(self.name)
             watch = SimpleNamespace(summary=dict)
             return SimpleNamespace(name=self.name, session=session, watch=watch, log=None)
 
@@ -147,6 +148,7 @@ def test_errors_and_even_mistakes_of_one_vehicle_leave_the_others_flying(monkeyp
     assert "error: lost: link lost; plug it in" in said.err
     assert "error: broken: a mistake" in said.err
     assert "ZeroDivisionError" in said.err, "the journal has the whole of it"
+    assert silent == ["lost", "broken", "well"], "before its link is closed each may say its last words"
     summary = json.loads(said.out)
     assert (summary["vehicle"], summary["reason"]) == ("well", "landed")
     assert sorted(closed) == sorted(ends)

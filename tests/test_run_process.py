@@ -1,6 +1,7 @@
 """What `run` loads, and what it does when the clock on the wall is wrong."""
 
 import ast
+import contextlib
 import errno
 import json
 import subprocess
@@ -13,10 +14,12 @@ import pytest
 import kffa_offboard
 from kffa_offboard import cli, cli_run
 from kffa_offboard.cli_vehicle import RunOptions, _log_path
-from kffa_offboard.config import bundled, load
+from kffa_offboard.config import Overrides, bundled, load
+from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog import writer
-from kffa_offboard.mavlink.session import Counters
+from kffa_offboard.mavlink.session import Counters, Session
 from kffa_offboard.mavlink.shell import RunResult, real_time_clock
+from kffa_offboard.mavlink.udp import UdpLink
 from kffa_offboard.offboard.state import Finished
 
 PACKAGE = Path(kffa_offboard.__file__).parent
@@ -140,6 +143,23 @@ def test_real_time_that_is_required_and_not_permitted_is_said_before_flying(monk
     log = ("--link", "udpin:127.0.0.1:0", "--log", str(tmp_path / "flight.tlog"))
     said = said_by(capsys, "--realtime", *log)
     assert said == f"error: {refusal}; or set realtime.required = false"
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError("a mistake"), KeyboardInterrupt(), UserError("no")])
+def test_a_run_that_breaks_off_says_its_last_words_before_the_link_is_closed(monkeypatch, tmp_path, error):
+    happened = []
+
+    def drive(vehicle, *_):
+        raise error
+
+    monkeypatch.setattr(cli_run, "_drive", drive)
+    monkeypatch.setattr(Session, "fall_silent", lambda session: happened.append("last words"))
+    monkeypatch.setattr(Session, "close", lambda session, reason: happened.append("end of the log"))
+    monkeypatch.setattr(UdpLink, "close", lambda link: happened.append("link closed"))
+    config = load(bundled("demo-px4.toml"), Overrides(link="udpin:127.0.0.1:0"))
+    with contextlib.suppress(ZeroDivisionError, UserError):
+        cli_run.run_one(config, RunOptions(log=tmp_path / "flight.tlog"))
+    assert happened[0] == "last words" and happened[-1] == "link closed"
 
 
 def test_the_log_of_a_run_without_a_vehicle_is_a_whole_one(tmp_path, capsys):

@@ -66,6 +66,9 @@ class OffboardService(Protocol):
     def next_deadline(self) -> int | None:
         """When something is due without any event; None if nothing is."""
 
+    def last_words(self) -> Sequence[Output]:
+        """What is to be sent by a process that ends in the middle of control."""
+
 
 class Recorder(Protocol):
     """What the shell needs of a flight log."""
@@ -299,6 +302,11 @@ class Session:
             self._given_up = True
             self.request(time_us, GiveUpRequested())
         return self._parameters is None or self._parameters.done
+
+    def fall_silent(self) -> None:
+        """The process ends, for whatever reason: a service that still has control says its last words."""
+        if self._time_us is not None and self.service.finished is None:
+            self._dispatch(self._time_us, self.service.last_words())
 
     def close(self, reason: str) -> None:
         """Record that the run is over."""

@@ -300,6 +300,20 @@ class Session:
 
     # ------------------------------------------------------------------------- failsafe
 
+    def last_words(self) -> list[Output]:
+        """The process ends in the middle of control: one level setpoint, whatever else is due.
+
+        Nothing is worked out for it, so that it can be had from a program that has just failed.
+        """
+        self._outputs.clear()
+        if self.state in SENDING:
+            self._say_farewell()
+            self._let_go(State.FAILSAFE)
+            self._say(Severity.CRITICAL, "failsafe: the daemon ended")
+            self.finished = Finished(False, "failsafe: the daemon ended")
+        outputs, self._outputs = self._outputs, []
+        return outputs
+
     def _fault(self, time_us: int, reason: str) -> None:
         """Telemetry is not to be trusted: failsafe if in control, else begin anew."""
         if self.state in SENDING:

@@ -1,11 +1,12 @@
 """The last setpoint before the daemon falls silent."""
 
+import numpy as np
 import pytest
 
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind
 from kffa_offboard.offboard.segments import Hold, Land, Takeoff
-from kffa_offboard.offboard.service import State
+from kffa_offboard.offboard.service import Finished, State
 
 
 def hovering(fake, **changes):
@@ -46,6 +47,33 @@ def test_the_last_setpoint_to_a_vehicle_that_has_touched_down_does_not_raise_thr
     flight.mute = {events.AttitudeReceived}
     flight.run_to(State.FAILSAFE, 0.3)
     assert flight.sent(AttitudeTarget)[-1][1].thrust == pytest.approx(last)
+
+
+def test_a_program_that_fails_in_the_middle_of_a_step_still_has_last_words(fake, monkeypatch):
+    """Whatever comes then may fail again; the last words need none of it."""
+    flight = hovering(fake, output="rates")
+    flight.vehicle.attitude = np.array([0.1, 0.0, 0.0])
+
+    def broken(*arguments):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(flight.service, "_watch_payload", broken)
+    with pytest.raises(ZeroDivisionError):
+        flight.run(1.0)
+    with pytest.raises(ZeroDivisionError):
+        flight.run(1.0)
+    last, said = flight.service.last_words()
+    assert last.body_rates is None and last.attitude[:2] == (0.0, 0.0)
+    assert last.thrust == pytest.approx(fake.hover, rel=0.02)
+    assert (said.severity, said.text) == (events.Severity.CRITICAL, "failsafe: the daemon ended")
+    assert flight.service.finished == Finished(False, "failsafe: the daemon ended")
+    assert flight.service.last_words() == []
+
+
+def test_a_program_that_ends_without_control_has_no_last_words(fake):
+    flight = fake.Lockstep(fake.settings(engage=False), fake.airborne()).run_to(State.READY)
+    assert flight.service.last_words() == []
+    assert flight.service.state is State.READY
 
 
 def test_there_is_no_farewell_on_the_ground_nor_to_a_pilot_who_took_over(fake):
