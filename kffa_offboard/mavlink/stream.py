@@ -1,7 +1,8 @@
 """Byte streams (TCP, serial): what they share. Frames may arrive in pieces and must not leave in pieces.
 
 A line that is slower than our traffic makes frames wait. An old setpoint helps nobody: a new one takes the
-place of the one that waits, so that what the vehicle gets after a stall is one setpoint, the last.
+place of the one that waits, so that what the vehicle gets after a stall is one setpoint, the last. It takes
+the place of waiting signals for graphs, too, which must not keep setpoints from a vehicle.
 """
 
 from __future__ import annotations
@@ -18,8 +19,20 @@ READ_SIZE = 4096
 UNSENT_LIMIT = 2048
 """Bytes that may wait to be sent. Beyond it new frames are dropped."""
 
-_SETPOINT = mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET.to_bytes(3, "little")
 _ID_IN_FRAME = slice(7, 10)  # of MAVLink 2
+_SETPOINT = mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET.to_bytes(3, "little")
+_PERISHABLE = {
+    _SETPOINT,
+    *(
+        number.to_bytes(3, "little")
+        for number in (
+            mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT,
+            mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,
+            mavlink.MAVLINK_MSG_ID_DEBUG_VECT,
+        )
+    ),
+}
+"""What a new setpoint takes the place of."""
 
 
 class StreamLink(ABC):
@@ -112,7 +125,7 @@ class StreamLink(ABC):
             if not self._is_open():
                 return False
         if data[_ID_IN_FRAME] == _SETPOINT:
-            self._waiting = [frame for frame in self._waiting if frame[_ID_IN_FRAME] != _SETPOINT]
+            self._waiting = [frame for frame in self._waiting if frame[_ID_IN_FRAME] not in _PERISHABLE]
         if self._unsent + len(data) > UNSENT_LIMIT:
             self.trouble = "the line is too slow for this traffic, or nobody reads it"
             return False

@@ -16,6 +16,9 @@ from kffa_offboard.mavlink.udp import explain
 SEND_BUFFER = 16384
 """Bytes that the kernel may hold back; the default keeps minutes of setpoints for a stalled vehicle."""
 
+NOT_SENT = 1024
+"""Bytes that the kernel may hold and has not sent yet (TCP_NOTSENT_LOWAT, tcp(7)); more waits here."""
+
 UNANSWERED_MS = 1000
 """A connection that acknowledges nothing for that long is lost, although nobody closed it.
 
@@ -47,6 +50,7 @@ class _TcpLink(StreamLink):
         # Setpoints are small and each of them matters now: never wait to fill a segment.
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         connected.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+        connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, NOT_SENT)
         connected.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, UNANSWERED_MS)
         self._socket = connected
         self._start_connection()

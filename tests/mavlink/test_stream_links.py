@@ -2,9 +2,12 @@
 
 import contextlib
 import errno
+import fcntl
 import itertools
 import os
 import socket
+import struct
+import termios
 import tty
 
 import pytest
@@ -184,6 +187,32 @@ def test_after_a_stall_a_tcp_peer_gets_the_last_setpoint_and_not_those_before(co
     *before, last = after_a_stall(link, autopilot, lambda: vehicle.recv(1 << 16))
     assert last == 4999
     assert before == sorted(before) and before[-1] < 4900, "what the kernel held; of those that waited none"
+
+
+def test_signals_for_graphs_do_not_keep_setpoints_from_a_vehicle_on_a_slow_line(connected, autopilot):
+    """A ground station asked for more of them than the line can take."""
+    link, vehicle = connected
+    vehicle.setblocking(False)
+    signal = autopilot.pack(mavlink.MAVLink_named_value_float_message(0, b"ALT_EST", 1.0))
+    while link.send(signal):
+        pass
+    assert link.send(autopilot.pack(setpoint(7)))
+    parser, found = mavlink.MAVLink(None), []
+    for _ in range(1000):
+        link.receive(0.0)
+        with contextlib.suppress(BlockingIOError):
+            found += parser.parse_buffer(vehicle.recv(1 << 16)) or []
+    assert found[-1].get_type() == "SET_ATTITUDE_TARGET" and found[-1].time_boot_ms == 7
+
+
+def test_the_kernel_holds_less_than_two_kilobytes_for_a_peer_that_does_not_read(connected, autopilot):
+    link, _ = connected
+    frame = autopilot.pack(autopilot.attitude())
+    for _ in range(100_000):
+        if not link.send(frame):
+            break
+    unsent = struct.unpack("i", fcntl.ioctl(link._socket, termios.TIOCOUTQ, b"0000"))[0]
+    assert unsent <= 2048
 
 
 @pytest.fixture
