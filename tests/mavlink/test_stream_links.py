@@ -186,7 +186,7 @@ def test_after_a_stall_a_tcp_peer_gets_the_last_setpoint_and_not_those_before(co
     vehicle.setblocking(False)
     *before, last = after_a_stall(link, autopilot, lambda: vehicle.recv(1 << 16))
     assert last == 4999
-    assert before == sorted(before) and before[-1] < 4900, "what the kernel held; of those that waited none"
+    assert before == sorted(before) and len(before) < 4900, "what the kernel took; of those that waited none"
 
 
 def test_signals_for_graphs_do_not_keep_setpoints_from_a_vehicle_on_a_slow_line(connected, autopilot):
@@ -299,7 +299,7 @@ def test_after_a_stall_a_serial_peer_gets_the_last_setpoint_and_not_those_before
     os.set_blocking(master, False)
     *before, last = after_a_stall(serial_link, autopilot, lambda: os.read(master, 1 << 16))
     assert last == 4999
-    assert before == sorted(before) and before[-1] < 4900, "what the kernel held; of those that waited none"
+    assert before == sorted(before) and len(before) < 4900, "what the kernel took; of those that waited none"
 
 
 def test_serial_bytes_go_both_ways(serial_link, terminal):
