@@ -9,7 +9,7 @@ was wrong with ours.
 from __future__ import annotations
 
 from kffa_offboard.offboard.events import AttitudeTarget
-from kffa_offboard.offboard.flight import FlightState, Phase
+from kffa_offboard.offboard.flight import FlightState, Phase, stands
 from kffa_offboard.offboard.guard import check_target
 from kffa_offboard.offboard.loop import LoopState
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -28,8 +28,7 @@ def farewell(
         return ()
     if flight.phase is Phase.GROUND:
         return ()
-    landed = flight.slow_since_us is not None and flight.seen_in_air and known.on_ground is True
-    thrust, airborne = loop.carrying.thrust, flight.phase is Phase.AIR and not landed
+    thrust, airborne = loop.carrying.thrust, not stands(flight, known.on_ground)
     if not airborne:
         thrust = min(thrust, loop.sent.thrust)
     level = AttitudeTarget(thrust, attitude=(0.0, 0.0, known.attitude.attitude[2]))

@@ -131,6 +131,15 @@ def abandon_takeoff(state: FlightState, time_us: int, thrust: float, outcome: Fi
     return state._replace(phase=Phase.TOUCHDOWN, phase_us=time_us, touchdown_thrust=thrust, outcome=outcome)
 
 
+def stands(state: FlightState, on_ground: bool | None) -> bool:
+    """On the ground, as far as can be told: not lifted off yet, in a thrust ramp, or touch-down shows.
+
+    `on_ground` is the autopilot's landed state.
+    """
+    touched_down = state.slow_since_us is not None and state.seen_in_air and on_ground is True
+    return state.phase is not Phase.AIR or touched_down
+
+
 def step_flight(
     settings: ServiceSettings, segments: tuple[Segment, ...], state: FlightState, sample: FlightSample
 ) -> tuple[FlightState, Directive]:

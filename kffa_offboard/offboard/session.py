@@ -19,6 +19,7 @@ from kffa_offboard.offboard.flight import (
     Phase,
     abandon_takeoff,
     hold_here,
+    stands,
 )
 from kffa_offboard.offboard.guard import Wish
 from kffa_offboard.offboard.loop import LoopState, forget_sent
@@ -350,10 +351,10 @@ class Session:
     def _failsafe_request(self) -> SetMode | SetArmed | None:
         """On the ground disarm what was armed here; in the air the configured mode, if any.
 
-        A thrust ramp counts as the ground: the autopilot refuses to disarm what has left it.
+        A thrust ramp counts as the ground, and touch-down: the autopilot refuses to disarm what has left it.
         """
         flight, engagement = self._flight, self._engagement
-        if flight is not None and flight.phase is not Phase.AIR:
+        if flight is not None and stands(flight, self._known.on_ground):
             armed_here = engagement.arm_asked if engagement is not None else self._armed_here
             if armed_here or flight.phase is Phase.GROUND:
                 return SetArmed(False) if armed_here else None

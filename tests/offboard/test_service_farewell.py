@@ -47,6 +47,7 @@ def test_the_last_setpoint_to_a_vehicle_that_has_touched_down_does_not_raise_thr
     flight.mute = {events.AttitudeReceived}
     flight.run_to(State.FAILSAFE, 0.3)
     assert flight.sent(AttitudeTarget)[-1][1].thrust == pytest.approx(last)
+    assert not flight.vehicle.armed, "and it asks to disarm"
 
 
 def test_a_program_that_fails_in_the_middle_of_a_step_still_has_last_words(fake, monkeypatch):
