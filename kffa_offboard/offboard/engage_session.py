@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from kffa_offboard.offboard import admission, events, parameters, sequence, telemetry
-from kffa_offboard.offboard.events import ModeKind, SetMode, Severity
+from kffa_offboard.offboard.events import ModeKind, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.flight import Phase, begin_flight, start_scenario
 from kffa_offboard.offboard.loop import forget_sent
 from kffa_offboard.offboard.rivals import forbids
 from kffa_offboard.offboard.segments import Land, starts_on_ground
-from kffa_offboard.offboard.sequence import EngagePhase, EngageStep
+from kffa_offboard.offboard.sequence import Engagement, EngagePhase, EngageStep
 from kffa_offboard.offboard.session import Session
 from kffa_offboard.offboard.state import IDLE, REFUSED, Finished, State
 
@@ -98,6 +98,7 @@ class EngageSession(Session):
         if SetMode(ModeKind.OFFBOARD) in step.outputs:
             self._capture = True
         if step.takeover is not None:
+            self._undo_arming(step.engagement)
             self._take_over(step.takeover)
         elif step.failure is not None:
             self._give_up_engaging(time_us, step.failure)
@@ -111,6 +112,13 @@ class EngageSession(Session):
             self._say(Severity.NOTICE, "engaged")
         elif step.engagement.phase is EngagePhase.PERSON and not was_waiting:
             self._say(Severity.WARNING, "flies as soon as a person arms")
+
+    def _undo_arming(self, engagement: Engagement) -> None:
+        """Whoever takes over has not asked to arm: our request may be under way, so this one follows it."""
+        retry = engagement.retry
+        if retry is not None and retry.request == SetArmed(True) and retry.accepted_us is None:
+            self._emit(SetArmed(False))
+            self._say(Severity.CRITICAL, "may still arm: keep away")
 
     def _give_up_engaging(self, time_us: int, failure: str) -> None:
         """It did not come to that; what may still arm is disarmed first, and the daemon stays at hand."""

@@ -381,6 +381,18 @@ def test_arming_that_takes_effect_after_the_release_is_undone(arming_open):
     assert arming_open.service.finished == Finished(True, "by hand")
 
 
+def test_a_pilot_who_takes_over_while_arming_is_open_is_told_and_it_is_undone(arming_open):
+    """Who changes the mode to stop it must not find it armed a moment later."""
+    arming_open.vehicle.mode = ModeKind.OTHER
+    arming_open.give(arming_open.vehicle.heartbeat())
+    assert arming_open.service.state is State.READY
+    assert arming_open.sent(SetArmed)[-1][1] == SetArmed(False)
+    assert {"may still arm: keep away", "control given up: mode OTHER"} <= set(arming_open.texts)
+    arming_open.log.clear()
+    arming_open.run(3.0)
+    assert not arming_open.sent((AttitudeTarget, SetMode, SetArmed)), "once; then it is the pilot's"
+
+
 def test_arming_that_takes_effect_after_a_failsafe_is_undone(arming_open):
     arming_open.mute = {events.AttitudeReceived}
     arming_open.run_to(State.FAILSAFE, 0.3)
