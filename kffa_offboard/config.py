@@ -17,6 +17,7 @@ from kffa_offboard.config_control import ControlTable, Table
 from kffa_offboard.config_errors import explain
 from kffa_offboard.config_process import ProcessSettings
 from kffa_offboard.config_tables import ConfigFile
+from kffa_offboard.config_together import check_together
 from kffa_offboard.config_tuning import ConfigTuning
 from kffa_offboard.config_tuning_file import TuningFile, TuningStore
 from kffa_offboard.control.controllers import ControllerName, ControllerParameters
@@ -248,7 +249,7 @@ def controller_parameters(control: ControlTable, limits: LimitSettings) -> Contr
 
 def _service(tables: ConfigFile, overrides: Overrides) -> ServiceSettings:
     limits = _record(LimitSettings, tables.limits)
-    return ServiceSettings(
+    settings = ServiceSettings(
         controller=controller_parameters(tables.control, limits),
         hover_thrust=tables.control.altitude.hover_thrust,
         output=tables.control.output,
@@ -265,6 +266,8 @@ def _service(tables: ConfigFile, overrides: Overrides) -> ServiceSettings:
         position=tables.position.settings(tables.control),
         payload=tables.payload.settings(tables.control),
     )
+    check_together(tables, settings)
+    return settings
 
 
 def _record(record: type[Record], table: Table) -> Record:

@@ -103,7 +103,7 @@ class AltitudeTable(ChannelTable):
     omega_c_range: Annotated[float, number("rad/s", at_least=0.0, at_most=1000.0)] = 2.0
     delay_s: Delay = 0.04
     lag_s: Delay = 0.05
-    acceleration_m_s2: Annotated[float, number("m/s^2", above=0.0, at_most=200.0)] = 5.0
+    acceleration_m_s2: Annotated[float, number("m/s^2", at_least=0.1, at_most=200.0)] = 5.0
     error_scale_m: Annotated[float, number("m", above=0.0, at_most=100.0)] = 0.1
     error_rate_scale_m_s: Annotated[float, number("m/s", above=0.0, at_most=100.0)] = 0.5
     measurement_noise_m: Annotated[float, number("m", above=0.0, at_most=10.0)] = 0.002
@@ -138,7 +138,7 @@ class AngleTable(ChannelTable):
     omega_o: Bandwidth = 25.0
     omega_c_range: Annotated[float, number("rad/s", at_least=0.0, at_most=1000.0)] = 2.0
     delay_s: Delay = 0.04
-    acceleration_rad_s2: Annotated[float, number("rad/s^2", above=0.0, at_most=500.0)] = 20.0
+    acceleration_rad_s2: Annotated[float, number("rad/s^2", at_least=0.1, at_most=500.0)] = 20.0
     error_scale_rad: Annotated[float, number("rad", above=0.0, at_most=3.2)] = 0.2
     error_rate_scale_rad_s: Annotated[float, number("rad/s", above=0.0, at_most=50.0)] = 1.0
     measurement_noise_rad: Annotated[float, number("rad", above=0.0, at_most=0.2)] = 0.002

@@ -17,6 +17,8 @@ ComponentId = Annotated[int, Field(ge=1, le=255)]
 
 
 def _expands(name: str) -> str:
+    if not name:
+        raise ValueError("no file has such a name; leave the key out for none")
     try:
         Path(name).expanduser()
     except RuntimeError as error:

@@ -41,7 +41,7 @@ class PositionTable(Table):
     measurement_noise_m: Annotated[float, number("m", above=0.0, at_most=10.0)] = _RING.position_noise
     velocity_noise_m_s: Annotated[float, number("m/s", above=0.0, at_most=10.0)] = 0.02
     disturbance_intensity: Annotated[float, number(above=0.0)] = _RING.disturbance_intensity
-    braking_m_s2: Annotated[float, number("m/s^2", above=0.0, at_most=20.0)] = 1.0
+    braking_m_s2: Annotated[float, number("m/s^2", at_least=0.1, at_most=20.0)] = 1.0
     error_max_m: Annotated[float, number("m", above=0.0, at_most=1000.0)] = 5.0
     jump_m: Annotated[float, number("m", above=0.0, at_most=1000.0)] = 1.0
     speed_max_m_s: Annotated[float, number("m/s", above=0.0, at_most=100.0)] = 20.0

@@ -131,8 +131,11 @@ class FlightTable(Table):
         _FLIGHT.ardupilot_spool_time_s
     )
     ramp_rate_per_s: Annotated[float, number("1/s", above=0.0, at_most=10.0)] = _FLIGHT.ramp_rate_per_s
-    liftoff_climb_rate_m_s: Speed = _FLIGHT.liftoff_climb_rate_m_s
-    liftoff_height_m: Length = _FLIGHT.liftoff_height_m
+    # Until lift-off is noticed thrust grows without anybody holding the height.
+    liftoff_climb_rate_m_s: Annotated[float, number("m/s", above=0.0, at_most=1.0)] = (
+        _FLIGHT.liftoff_climb_rate_m_s
+    )
+    liftoff_height_m: Annotated[float, number("m", above=0.0, at_most=0.5)] = _FLIGHT.liftoff_height_m
     liftoff_thrust_fraction: Fraction = _FLIGHT.liftoff_thrust_fraction
     liftoff_timeout_s: Timeout = _FLIGHT.liftoff_timeout_s
     acceleration_m_s2: Annotated[float, number("m/s^2", above=0.0, at_most=50.0)] = _FLIGHT.acceleration_m_s2
@@ -140,11 +143,19 @@ class FlightTable(Table):
     arrival_time_s: Timeout = _FLIGHT.arrival_time_s
     arrival_timeout_s: LongTimeout = _FLIGHT.arrival_timeout_s
     slow_height_m: Length = _FLIGHT.slow_height_m
-    slow_descent_rate_m_s: Speed = _FLIGHT.slow_descent_rate_m_s
-    landing_lead_m: Length = _FLIGHT.landing_lead_m
-    touchdown_thrust_fraction: Fraction = _FLIGHT.touchdown_thrust_fraction
-    touchdown_climb_rate_m_s: Speed = _FLIGHT.touchdown_climb_rate_m_s
-    touchdown_time_s: Timeout = _FLIGHT.touchdown_time_s
+    slow_descent_rate_m_s: Annotated[float, number("m/s", above=0.0, at_most=2.0)] = (
+        _FLIGHT.slow_descent_rate_m_s
+    )
+    # With less the descent creeps: the reference that it follows is late by twice the reference filter.
+    landing_lead_m: Annotated[float, number("m", at_least=0.1, at_most=1000.0)] = _FLIGHT.landing_lead_m
+    # Beyond these a vehicle that hangs in the air on less thrust than expected looks like one that stands.
+    touchdown_thrust_fraction: Annotated[float, number(above=0.0, at_most=0.8)] = (
+        _FLIGHT.touchdown_thrust_fraction
+    )
+    touchdown_climb_rate_m_s: Annotated[float, number("m/s", above=0.0, at_most=0.5)] = (
+        _FLIGHT.touchdown_climb_rate_m_s
+    )
+    touchdown_time_s: Annotated[float, number("s", at_least=0.1, at_most=30.0)] = _FLIGHT.touchdown_time_s
     touchdown_ramp_s: Interval = _FLIGHT.touchdown_ramp_s
     setpoint_speed_m_s: Speed = _FLIGHT.setpoint_speed_m_s
     setpoint_climb_rate_m_s: Speed = _FLIGHT.setpoint_climb_rate_m_s
@@ -179,7 +190,7 @@ class LogTable(Table):
     """`[log]`: where flight logs go; left out, none is kept."""
 
     directory: FileName | None = None
-    file_size_max_mb: Annotated[float, Field(ge=1.0)] | None = None
+    file_size_max_mb: Annotated[float | None, number(at_least=1.0, at_most=1e6)] = None
     """A longer flight goes on in FLIGHT-2.tlog, FLIGHT-3.tlog, ...; an hour at 100 Hz is about 200 MB."""
 
 

@@ -264,6 +264,36 @@ def test_nothing_arms_or_engages_unless_the_command_line_says_so(file: Path) -> 
             "control.rates.roll: omega_o = 9 rad/s: the observer must be quicker than the controller; "
             "set it above omega_c = 9 rad/s, usually 3 to 5 times",
         ),
+        (
+            "[position]\nbraking_m_s2 = 0.001",
+            "position.braking_m_s2 = 0.001: must be at least 0.1 m/s^2",
+        ),
+        (
+            "[flight]\nliftoff_height_m = 10",
+            "flight.liftoff_height_m = 10: is above 0.5 m; were these millimetres?",
+        ),
+        (
+            "[flight]\nliftoff_climb_rate_m_s = 1.5",
+            "flight.liftoff_climb_rate_m_s = 1.5: must be at most 1 m/s",
+        ),
+        (
+            "[flight]\ntouchdown_thrust_fraction = 0.95",
+            "flight.touchdown_thrust_fraction = 0.95: must be at most 0.8",
+        ),
+        (
+            "[flight]\ntouchdown_time_s = 0.001",
+            "flight.touchdown_time_s = 0.001: must be at least 0.1 s",
+        ),
+        (
+            "[flight]\nlanding_lead_m = 0.01",
+            "flight.landing_lead_m = 0.01: must be at least 0.1 m",
+        ),
+        ("[log]\nfile_size_max_mb = inf", "log.file_size_max_mb = inf: must be a finite number"),
+        (
+            "[limits]\ntilt_max_deg = 70",
+            "limits.tilt_max_rad = 1.222 (tilt_max_deg = 70): must be positive and at most "
+            "tilt_failsafe_rad = 1.047 (tilt_failsafe_deg = 60), which must be at most pi/2",
+        ),
         ("telemetry = 5", None),
     ],
 )
@@ -274,6 +304,67 @@ def test_a_bad_value_is_one_line_with_key_value_and_remedy(
         assert complaint(file, lines + MINIMAL) == "telemetry = 5: must be a table, with keys of its own"
     else:
         assert complaint(file, MINIMAL + lines) == expected
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        (
+            "[control.rates.roll]\ndelay_s = 0.2",
+            "control.rates.roll: delay_s = 0.2 s is more than omega_c = 8 rad/s bears; "
+            "keep it within 1.5 / omega_c = 0.188 s, or lower omega_c",
+        ),
+        (
+            "prediction_s = 0.3",
+            "control.altitude: prediction_s = 0.3 s is more than omega_c = 8 rad/s bears; "
+            "keep it within 2 / omega_c = 0.25 s, or lower omega_c",
+        ),
+        (
+            '[control]\noutput = "attitude"\n[control.attitude.roll]\nomega_c = 0.5\nomega_c_range = 0.1',
+            "control.attitude.roll: omega_c = 0.5 rad/s takes the autopilot's own hold away and gives too "
+            "little for it; give at least 0.8 rad/s, best about natural_frequency_rad_s = 8",
+        ),
+        (
+            "[limits]\nthrust_rate_max_per_s = 2",
+            "limits.thrust_rate_max_per_s = 2: thrust would follow too slowly; give at least 3.2, "
+            "hover_thrust = 0.4 times 8 rad/s of bandwidth",
+        ),
+        (
+            "[payload]\nvehicle_mass_kg = 10\nmax_load_kg = 15",
+            "payload.max_load_kg = 15: takes 1 of full thrust to carry, limits.thrust_max = 0.95; "
+            "lower the one or raise the other",
+        ),
+        (
+            '[flight]\nramp_rate_per_s = 0.05\n[[scenario.segment]]\ntype = "takeoff"\naltitude_m = 2',
+            "flight.ramp_rate_per_s = 0.05: reaches 0.3 of full thrust in liftoff_timeout_s = 6, and "
+            "hover_thrust = 0.4; raise one of them",
+        ),
+        (
+            "[telemetry]\nattitude_hz = 30",
+            "telemetry.attitude_hz = 30: is below minimum_attitude_hz = 50, so that control would never be "
+            "taken; raise the one or lower the other",
+        ),
+        (
+            "omega_o = 90\n[telemetry]\nposition_hz = 40",
+            "telemetry.position_hz = 40: of which rate_fraction = 0.8 may come; omega_o = 90 rad/s needs 36; "
+            "raise position_hz or lower omega_o",
+        ),
+        (
+            "[control]\nreference_filter_s = 0.3\n[position]\nenabled = true",
+            "control.reference_filter_s = 0.3: makes roll and pitch later than position.delay_s + lag_s = "
+            "0.22; lower it, or raise these and lower position.omega_c",
+        ),
+        (
+            "[position]\nenabled = true\nomega_c = 10\nomega_o = 30",
+            "position.omega_c = 10: is too much for delay_s + lag_s = 0.22; give 6.82 rad/s at the most, "
+            "usually a third of it",
+        ),
+    ],
+)
+def test_numbers_that_do_not_fly_together_are_refused_with_the_remedy(
+    file: Path, lines: str, expected: str
+) -> None:
+    assert complaint(file, MINIMAL + lines) == expected
 
 
 @pytest.mark.parametrize(
@@ -311,6 +402,9 @@ def test_a_home_directory_of_nobody_and_an_impossible_name_are_refused(file: Pat
         f'{key} = "~nobody-here/x": nobody of that name has a home directory; write the whole path'
     )
     assert "no file has such a name" in complaint(file, f'{MINIMAL}[{table}]\n{name} = "a\\u0000b"')
+    assert complaint(file, f'{MINIMAL}[{table}]\n{name} = ""') == (
+        f'{key} = "": no file has such a name; leave the key out for none'
+    )
 
 
 def test_a_landing_that_is_not_the_end_is_refused(file: Path) -> None:

@@ -68,13 +68,17 @@ def test_the_settings_follow_a_value_and_nothing_else_changes():
     ("name", "value", "reason"),
     [
         ("ALT_OMEGA_C", 2000.0, "above 1000 rad/s"),
-        ("ALT_OMEGA_C", 49.9, None),
+        ("ALT_OMEGA_C", 24.9, None),
+        ("ALT_OMEGA_C", 49.9, r"delay_s = 0\.06 s is more than omega_c = 49\.9 rad/s bears"),
         ("ALT_OMEGA_C", 50.0, "the observer must be quicker than the controller"),
         ("ALT_OMEGA_C", float("nan"), "must be a finite number"),
         ("ALT_DELAY_S", 60.0, "were these milliseconds"),
         ("ALT_DELAY_S", -0.01, "must be at least 0 s"),
         ("LIM_TILT_DEG", 70.0, "at most tilt_failsafe_rad"),
         ("LIM_THR_MIN", 0.5, "must lie between"),
+        ("LIM_THR_PER_S", 3.0, "thrust would follow too slowly; give at least 3.18"),
+        ("LIM_THR_MAX", 0.6, "max_load_kg = 6.73: takes 0.666 of full thrust"),
+        ("ALT_OMEGA_O", 210.0, "attitude_hz = 100: of which rate_fraction = 0.8 may come; omega_o = 210"),
         ("LIM_TILT", 30.0, "no such parameter"),
     ],
 )

@@ -130,8 +130,10 @@ class LimitSettings:
             )
         if not 0.0 < self.tilt_max_rad <= self.tilt_failsafe_rad <= 0.5 * pi:
             raise ValueError(
-                f"limits.tilt_max_rad = {self.tilt_max_rad:.3f}: must be positive and at most "
-                f"tilt_failsafe_rad = {self.tilt_failsafe_rad:.3f}, which must be at most pi/2"
+                f"limits.tilt_max_rad = {self.tilt_max_rad:.3f} (tilt_max_deg = "
+                f"{degrees(self.tilt_max_rad):g}): must be positive and at most tilt_failsafe_rad = "
+                f"{self.tilt_failsafe_rad:.3f} (tilt_failsafe_deg = {degrees(self.tilt_failsafe_rad):g}), "
+                "which must be at most pi/2"
             )
         if self.altitude_min_m >= self.altitude_max_m:
             raise ValueError(
@@ -143,7 +145,8 @@ class LimitSettings:
                 raise ValueError(f"limits.{name} = {getattr(self, name)}: must be positive")
         if not 0.0 < self.tilt_compensation_max_rad < pi / 2.0:
             raise ValueError(
-                f"limits.tilt_compensation_max_rad = {self.tilt_compensation_max_rad}: must be in (0, pi/2)"
+                f"limits.tilt_compensation_max_rad = {self.tilt_compensation_max_rad:.3f} (tilt_compensation_"
+                f"max_deg = {degrees(self.tilt_compensation_max_rad):g}): must be in (0, pi/2)"
             )
         for rate in (*self.body_rate_max_rad_s, self.body_rate_change_max_rad_s2, self.thrust_rate_max_per_s):
             if not isfinite(rate) or rate <= 0.0:

@@ -1,0 +1,149 @@
+"""Numbers of a configuration that are possible one by one and not together.
+
+Each of these combinations was flown in the simulator and went wrong in the air, or never began.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from kffa_offboard.config_control import AttitudeAxisTable, ChannelTable, ControlTable
+from kffa_offboard.config_tables import ConfigFile, TakeoffTable
+from kffa_offboard.control.controllers import ALTITUDE
+from kffa_offboard.offboard.admission import SAMPLES_PER_RADIAN
+from kffa_offboard.offboard.settings import ServiceSettings
+
+MOST_DELAY, MOST_PREDICTION = 1.5, 2.0
+"""Of 1 / omega_c, s: with a longer delay, or a look further ahead, the loop oscillates."""
+
+SLOWEST_HOLD = 0.1
+"""Of natural_frequency_rad_s: with a lower omega_c neither the autopilot's hold nor the daemon's is left."""
+
+CASCADE_BANDWIDTH = 2.5
+"""Of the height under controller "cascaded-pid", rad/s."""
+
+MOST_RING_DELAY = 1.5
+"""Of 1 / omega_c of the position ring, s: delay and lag of the attitude loop below it."""
+
+
+def check_together(tables: ConfigFile, service: ServiceSettings) -> None:
+    """Raise ValueError, one line with keys, values and remedy, for the first combination that cannot fly."""
+    problem = (
+        _slow_loop(tables.control)
+        or _slow_thrust(tables)
+        or _heavy_load(tables)
+        or _short_ramp(tables)
+        or _rare_telemetry(service)
+        or _late_attitude(tables)
+    )
+    if problem is not None:
+        raise ValueError(problem)
+
+
+def _flown(control: ControlTable) -> Iterator[tuple[str, ChannelTable]]:
+    """The channels that fly, by their tables' names."""
+    axes = control.rates if control.output == "rates" else control.attitude
+    for name in ("roll", "pitch", "yaw"):
+        yield f"control.{control.output}.{name}", getattr(axes, name)
+    yield "control.altitude", control.altitude
+
+
+def _slow_loop(control: ControlTable) -> str | None:
+    if control.controller in ("pid", "cascaded-pid"):  # omega_c is not theirs, and they do not look ahead
+        return None
+    for name, channel in _flown(control):
+        omega_c = channel.omega_c
+        for key, most in (("delay_s", MOST_DELAY), ("prediction_s", MOST_PREDICTION)):
+            told = getattr(channel, key)
+            if told is not None and told * omega_c > most:
+                return (
+                    f"{name}: {key} = {told:g} s is more than omega_c = {omega_c:g} rad/s bears; "
+                    f"keep it within {most:g} / omega_c = {most / omega_c:.3g} s, or lower omega_c"
+                )
+        if not isinstance(channel, AttitudeAxisTable):
+            continue
+        least = SLOWEST_HOLD * channel.natural_frequency_rad_s
+        if omega_c < least:
+            return (
+                f"{name}: omega_c = {omega_c:g} rad/s takes the autopilot's own hold away and gives too "
+                f"little for it; give at least {least:.3g} rad/s, best about natural_frequency_rad_s = "
+                f"{channel.natural_frequency_rad_s:g}"
+            )
+    return None
+
+
+def _slow_thrust(tables: ConfigFile) -> str | None:
+    """A limit on the change of thrust is one more lag, and the larger the error, the longer."""
+    altitude, rate = tables.control.altitude, tables.limits.thrust_rate_max_per_s
+    bandwidth = CASCADE_BANDWIDTH if tables.control.controller == "cascaded-pid" else altitude.omega_c
+    needed = bandwidth * altitude.hover_thrust
+    if rate >= needed:
+        return None
+    return (
+        f"limits.thrust_rate_max_per_s = {rate:g}: thrust would follow too slowly; give at least "
+        f"{needed:.3g}, hover_thrust = {altitude.hover_thrust:g} times {bandwidth:g} rad/s of bandwidth"
+    )
+
+
+def _heavy_load(tables: ConfigFile) -> str | None:
+    payload, limits = tables.payload, tables.limits
+    if not payload.enabled or payload.vehicle_mass_kg is None or payload.max_load_kg is None:
+        return None
+    needed = tables.control.altitude.hover_thrust * (1.0 + payload.max_load_kg / payload.vehicle_mass_kg)
+    if needed < limits.thrust_max:
+        return None
+    return (
+        f"payload.max_load_kg = {payload.max_load_kg:g}: takes {needed:.3g} of full thrust to carry, "
+        f"limits.thrust_max = {limits.thrust_max:g}; lower the one or raise the other"
+    )
+
+
+def _short_ramp(tables: ConfigFile) -> str | None:
+    flight, hover = tables.flight, tables.control.altitude.hover_thrust
+    reached = flight.ramp_rate_per_s * flight.liftoff_timeout_s
+    if reached > hover or not any(isinstance(segment, TakeoffTable) for segment in tables.scenario.segment):
+        return None
+    return (
+        f"flight.ramp_rate_per_s = {flight.ramp_rate_per_s:g}: reaches {reached:.3g} of full thrust in "
+        f"liftoff_timeout_s = {flight.liftoff_timeout_s:g}, and hover_thrust = {hover:g}; raise one of them"
+    )
+
+
+def _rare_telemetry(service: ServiceSettings) -> str | None:
+    """What is asked for would not be enough for taking control, or for keeping it."""
+    asked, observer = service.telemetry, service.controller.observer
+    bandwidths = [0.0] * (ALTITUDE + 1) if observer is None else observer.fastest.tolist()
+    for name, rate, minimum, bandwidth in (
+        ("attitude", asked.attitude_hz, asked.minimum_attitude_hz, max(bandwidths)),
+        ("position", asked.position_hz, asked.minimum_position_hz, bandwidths[ALTITUDE]),
+    ):
+        if rate < minimum:
+            return (
+                f"telemetry.{name}_hz = {rate:g}: is below minimum_{name}_hz = {minimum:g}, so that control "
+                "would never be taken; raise the one or lower the other"
+            )
+        needed = SAMPLES_PER_RADIAN * bandwidth
+        if asked.rate_fraction * rate < needed:
+            return (
+                f"telemetry.{name}_hz = {rate:g}: of which rate_fraction = {asked.rate_fraction:g} may come; "
+                f"omega_o = {bandwidth:g} rad/s needs {needed:g}; raise {name}_hz or lower omega_o"
+            )
+    return None
+
+
+def _late_attitude(tables: ConfigFile) -> str | None:
+    """The ring looks ahead over delay and lag of the attitude loop, whose reference filter is part of it."""
+    ring, told = tables.position, tables.position.delay_s + tables.position.lag_s
+    if not ring.enabled:
+        return None
+    if tables.control.reference_filter_s > told:
+        return (
+            f"control.reference_filter_s = {tables.control.reference_filter_s:g}: makes roll and pitch later "
+            f"than position.delay_s + lag_s = {told:g}; lower it, or raise these and lower position.omega_c"
+        )
+    if ring.omega_c * told > MOST_RING_DELAY:
+        return (
+            f"position.omega_c = {ring.omega_c:g}: is too much for delay_s + lag_s = {told:g}; give "
+            f"{MOST_RING_DELAY / told:.3g} rad/s at the most, usually a third of it"
+        )
+    return None
