@@ -266,7 +266,7 @@ def _service(tables: ConfigFile, overrides: Overrides) -> ServiceSettings:
         position=tables.position.settings(tables.control),
         payload=tables.payload.settings(tables.control),
     )
-    check_together(tables, settings)
+    check_together(tables)
     return settings
 
 

@@ -9,9 +9,6 @@ from collections.abc import Iterator
 
 from kffa_offboard.config_control import AttitudeAxisTable, ChannelTable, ControlTable
 from kffa_offboard.config_tables import ConfigFile, TakeoffTable
-from kffa_offboard.control.controllers import ALTITUDE
-from kffa_offboard.offboard.admission import SAMPLES_PER_RADIAN
-from kffa_offboard.offboard.settings import ServiceSettings
 
 MOST_DELAY, MOST_PREDICTION = 1.5, 2.0
 """Of 1 / omega_c, s: with a longer delay, or a look further ahead, the loop oscillates."""
@@ -26,14 +23,14 @@ MOST_RING_DELAY = 1.5
 """Of 1 / omega_c of the position ring, s: delay and lag of the attitude loop below it."""
 
 
-def check_together(tables: ConfigFile, service: ServiceSettings) -> None:
+def check_together(tables: ConfigFile) -> None:
     """Raise ValueError, one line with keys, values and remedy, for the first combination that cannot fly."""
     problem = (
         _slow_loop(tables.control)
         or _slow_thrust(tables)
         or _heavy_load(tables)
         or _short_ramp(tables)
-        or _rare_telemetry(service)
+        or _rare_telemetry(tables)
         or _late_attitude(tables)
     )
     if problem is not None:
@@ -109,24 +106,18 @@ def _short_ramp(tables: ConfigFile) -> str | None:
     )
 
 
-def _rare_telemetry(service: ServiceSettings) -> str | None:
-    """What is asked for would not be enough for taking control, or for keeping it."""
-    asked, observer = service.telemetry, service.controller.observer
-    bandwidths = [0.0] * (ALTITUDE + 1) if observer is None else observer.fastest.tolist()
-    for name, rate, minimum, bandwidth in (
-        ("attitude", asked.attitude_hz, asked.minimum_attitude_hz, max(bandwidths)),
-        ("position", asked.position_hz, asked.minimum_position_hz, bandwidths[ALTITUDE]),
+def _rare_telemetry(tables: ConfigFile) -> str | None:
+    """Not even what is asked for is enough for taking control. `admission` judges what omega_o needs."""
+    asked = tables.telemetry
+    for name, rate, minimum in (
+        ("attitude", asked.attitude_hz, asked.minimum_attitude_hz),
+        ("position", asked.position_hz, asked.minimum_position_hz),
     ):
-        if rate < minimum:
+        needed = asked.rate_fraction * minimum
+        if rate <= needed:
             return (
-                f"telemetry.{name}_hz = {rate:g}: is below minimum_{name}_hz = {minimum:g}, so that control "
-                "would never be taken; raise the one or lower the other"
-            )
-        needed = SAMPLES_PER_RADIAN * bandwidth
-        if asked.rate_fraction * rate < needed:
-            return (
-                f"telemetry.{name}_hz = {rate:g}: of which rate_fraction = {asked.rate_fraction:g} may come; "
-                f"omega_o = {bandwidth:g} rad/s needs {needed:g}; raise {name}_hz or lower omega_o"
+                f"telemetry.{name}_hz = {rate:g}: is not above rate_fraction times minimum_{name}_hz = "
+                f"{needed:g}, so that control would never be taken; raise the one or lower the other"
             )
     return None
 

@@ -341,13 +341,13 @@ def test_a_bad_value_is_one_line_with_key_value_and_remedy(
         ),
         (
             "[telemetry]\nattitude_hz = 30",
-            "telemetry.attitude_hz = 30: is below minimum_attitude_hz = 50, so that control would never be "
-            "taken; raise the one or lower the other",
+            "telemetry.attitude_hz = 30: is not above rate_fraction times minimum_attitude_hz = 40, so that "
+            "control would never be taken; raise the one or lower the other",
         ),
         (
-            "omega_o = 90\n[telemetry]\nposition_hz = 40",
-            "telemetry.position_hz = 40: of which rate_fraction = 0.8 may come; omega_o = 90 rad/s needs 36; "
-            "raise position_hz or lower omega_o",
+            "[telemetry]\nposition_hz = 20",
+            "telemetry.position_hz = 20: is not above rate_fraction times minimum_position_hz = 20, so that "
+            "control would never be taken; raise the one or lower the other",
         ),
         (
             "[control]\nreference_filter_s = 0.3\n[position]\nenabled = true",

@@ -78,7 +78,6 @@ def test_the_settings_follow_a_value_and_nothing_else_changes():
         ("LIM_THR_MIN", 0.5, "must lie between"),
         ("LIM_THR_PER_S", 3.0, "thrust would follow too slowly; give at least 3.18"),
         ("LIM_THR_MAX", 0.6, "max_load_kg = 6.73: takes 0.666 of full thrust"),
-        ("ALT_OMEGA_O", 210.0, "attitude_hz = 100: of which rate_fraction = 0.8 may come; omega_o = 210"),
         ("LIM_TILT", 30.0, "no such parameter"),
     ],
 )
