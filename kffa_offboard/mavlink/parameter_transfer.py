@@ -110,18 +110,21 @@ class ParameterTransfer:
         return min((request.due_us for request in under_way), default=None)
 
     def run(self, time_us: int) -> list[Message]:
-        """What is to be sent at `time_us`."""
+        """What is to be sent at `time_us`, by requests that take the place of those given up, too."""
         messages: list[Message] = []
-        for name, request in list(self._requests.items())[:WINDOW]:
-            if time_us < request.due_us:
-                continue
-            if request.attempts == ATTEMPTS:
-                self._give_up(name)
-                continue
-            request.attempts += 1
-            request.due_us = time_us + INTERVAL_US
-            messages.append(self._message(name, request))
+        while due := self._due(time_us):
+            for name, request in due:
+                if request.attempts == ATTEMPTS:
+                    self._give_up(name)
+                    continue
+                request.attempts += 1
+                request.due_us = time_us + INTERVAL_US
+                messages.append(self._message(name, request))
         return messages
+
+    def _due(self, time_us: int) -> list[tuple[str, _Request]]:
+        under_way = list(self._requests.items())[:WINDOW]
+        return [(name, request) for name, request in under_way if time_us >= request.due_us]
 
     def _message(self, name: str, request: _Request) -> Message:
         if request.wanted is None:

@@ -167,6 +167,19 @@ def test_arducopter_that_never_answers_is_unsafe_and_px4_is_worth_a_warning(benc
     assert "no answer" in silent.checked[-1].problems[-1].text
 
 
+def test_nothing_falls_due_in_the_past_while_a_vehicle_answers_nothing(bench):
+    """The service takes no step back in time: the daemon ended with a ValueError."""
+    keeper = bench(STOCK, answers=False)
+    for k in range(100):
+        keeper.time_us += TICK_US
+        if k % 20 == 0:
+            keeper.heartbeat()
+        keeper.keeper.advance(keeper.time_us)
+        keeper.settle()
+        due_us = keeper.keeper.due_us()
+        assert due_us is None or due_us > keeper.time_us
+
+
 def test_px4_integers_are_read_as_their_bytes(bench):
     vehicle = bench({"COM_OBL_RC_ACT": 7.0, "COM_OF_LOSS_T": 1.0}, firmware="px4")
     vehicle.run(4.0)
