@@ -19,7 +19,7 @@ from sim_vehicle.backends.base import Backend
 from sim_vehicle.backends.choose import open_backend
 from sim_vehicle.config import SimConfig
 from sim_vehicle.errors import SimulatorError
-from sim_vehicle.truth import TruthFile, TruthRecorder
+from sim_vehicle.truth import FIRST_LINE, TruthFile, TruthRecorder
 
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
@@ -176,6 +176,7 @@ def _truth_file(path: Path | None, recorder: TruthRecorder) -> Iterator[Callable
     if path is None:
         yield lambda: None
         return
+    _refuse_other_kinds(path)
     try:
         stream: TextIO = path.open("w", encoding="utf-8", newline="")
     except OSError as problem:
@@ -187,6 +188,21 @@ def _truth_file(path: Path | None, recorder: TruthRecorder) -> Iterator[Callable
             yield record.flush
         finally:
             record.flush()
+
+
+def _refuse_other_kinds(path: Path) -> None:
+    """Raise SimulatorError if writing the truth would destroy a file that is something else."""
+    try:
+        if not path.is_file() or path.stat().st_size == 0:
+            return
+        with path.open("rb") as file:
+            before = file.read(len(FIRST_LINE))
+    except OSError:
+        return  # whoever opens it for writing says why
+    if before != FIRST_LINE.encode():
+        raise SimulatorError(
+            f"--truth {path}: is there and holds no true states, it would be lost; choose another file"
+        )
 
 
 @contextlib.contextmanager

@@ -14,6 +14,9 @@ COLUMNS = (
 )
 """Columns of the CSV."""
 
+FIRST_LINE = ",".join(COLUMNS)
+"""With which a file of true states begins."""
+
 PERIOD_US = 10_000
 """A row every 10 ms of simulated time."""
 

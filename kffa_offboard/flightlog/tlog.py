@@ -17,6 +17,7 @@ from kffa_offboard.flightlog.signals import LATEST_US, SignalTable, is_signals, 
 from kffa_offboard.frame_codec import decode
 
 TIMESTAMP = struct.Struct(">Q")
+GZIP_MAGIC = b"\x1f\x8b"
 
 _Source: TypeAlias = IO[bytes] | gzip.GzipFile
 
@@ -76,7 +77,7 @@ class TlogReader:
     def frames(self) -> Iterator[tuple[int, bytes]]:
         """Read from the beginning: time [us] and frame, not decoded. Raises UserError as iterating does.
 
-        A file whose name ends in .gz is decompressed on the way.
+        A file that is compressed (gzip), whatever its name, is decompressed on the way.
         """
         self.truncated = False
         self.damaged = 0
@@ -128,7 +129,11 @@ class TlogReader:
 
 
 def _open(path: Path) -> _Source:
-    return gzip.open(path, "rb") if path.suffix == ".gz" else path.open("rb")
+    file = path.open("rb")
+    if not file.peek(2).startswith(GZIP_MAGIC):
+        return file
+    file.close()
+    return gzip.open(path, "rb")
 
 
 def read_tlog(path: Path, *, even: bool = False) -> TlogReader:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from kffa_offboard.errors import UserError
+from kffa_offboard.loganalysis.read import is_flight_log
 
 
 def make_directory(path: Path) -> Path:
@@ -18,9 +19,11 @@ def make_directory(path: Path) -> Path:
 
 
 def refuse_inputs(out: Path, inputs: Sequence[Path]) -> None:
-    """Raises UserError if writing `out` would destroy one of the files that are read."""
+    """Raises UserError if writing `out` would destroy one of the files that are read, or any flight log."""
     if any(out.resolve() == path.resolve() for path in inputs):
         raise UserError(f"--out {out}: is what is to be read, which would be lost; name another file")
+    if out.is_file() and is_flight_log(out):
+        raise UserError(f"--out {out}: is a flight log, which would be lost; name another file")
 
 
 def write_text(path: Path, text: str) -> None:

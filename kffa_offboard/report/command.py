@@ -9,6 +9,7 @@ from pathlib import Path
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.parts import without_parts
+from kffa_offboard.loganalysis.output_files import refuse_inputs
 from kffa_offboard.report.align import Alignment
 from kffa_offboard.report.flight import Flight
 from kffa_offboard.report.read import read_any, short_name
@@ -30,8 +31,7 @@ def run_report(plan: ReportPlan) -> int:
     Raises UserError for a log that cannot be read or has no flight in it, and for a file that cannot be
     written.
     """
-    if any(plan.out.resolve() == log.resolve() for log in plan.logs):
-        raise UserError(f"--out {plan.out} is one of the logs; name another file")
+    refuse_inputs(plan.out, plan.logs)
     logs = without_parts(plan.logs)
     flights = [read_any(log, name) for log, name in zip(logs, distinct_names(logs), strict=True)]
     from kffa_offboard.report.page import render

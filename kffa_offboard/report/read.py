@@ -17,7 +17,7 @@ from kffa_offboard.flightlog.notes import End, Header, Lost, NoteReader, is_note
 from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.tlog import clock_remarks, read_tlog
 from kffa_offboard.loganalysis import dataflash
-from kffa_offboard.loganalysis.read import ULOG_MAGIC
+from kffa_offboard.loganalysis.read import ULOG_MAGIC, first_bytes
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.vehicle import MULTIROTORS, Vehicle
 from kffa_offboard.offboard.events import (
@@ -191,11 +191,7 @@ def read_any(path: Path, name: str) -> Flight:
 
     Raises UserError as `read_flight` and `from_record.read_onboard`.
     """
-    try:
-        with path.open("rb") as file:
-            onboard = file.read(4).startswith(_ONBOARD)
-    except OSError as error:
-        raise UserError(f"cannot read flight log {path}: {error.strerror}; check the path") from error
+    onboard = first_bytes(path).startswith(_ONBOARD)
     if not onboard:
         return read_flight(path, name)
     from kffa_offboard.report.from_record import read_onboard

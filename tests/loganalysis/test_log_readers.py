@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import os
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -12,6 +14,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from pymavlink.DFReader import DFReader_binary
 
+from kffa_offboard import cli
 from kffa_offboard.errors import UserError
 from kffa_offboard.loganalysis import dataflash
 from kffa_offboard.loganalysis.identify_command import run_identify
@@ -135,3 +138,33 @@ def test_identify_never_writes_its_model_over_a_log(log_files: dict[str, Path]) 
     with pytest.raises(UserError, match="is what is to be read"):
         run_identify([log], log, 0.0, as_json=True)
     assert log.read_bytes() == recorded
+
+
+def test_no_command_writes_its_results_over_any_flight_log(
+    log_files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    packed = tmp_path / "other.tlog.gz"
+    packed.write_bytes(gzip.compress(log_files["tlog"].read_bytes()))
+    flown = str(log_files["tlog"])
+    for other in (log_files["dataflash"], log_files["ulog"], packed):
+        recorded = other.read_bytes()
+        for command in ("report", "export", "identify"):
+            with pytest.raises(SystemExit) as ended:
+                cli.main([command, flown, "--out", str(other)])
+            assert ended.value.code == 2
+            assert "is a flight log, which would be lost" in capsys.readouterr().err
+        assert other.read_bytes() == recorded
+
+
+def test_a_compressed_telemetry_log_is_read_whatever_its_name(
+    log_files: dict[str, Path], tmp_path: Path
+) -> None:
+    packed = tmp_path / "flight"
+    packed.write_bytes(gzip.compress(log_files["tlog"].read_bytes()))
+    assert np.array_equal(read_log(packed).attitude.values, read_log(log_files["tlog"]).attitude.values)
+
+
+def test_a_pipe_is_refused_in_words(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(UserError, match="is a pipe, and a log is read more than once; give a file"):
+        read_log(tmp_path / "pipe")

@@ -131,7 +131,7 @@ def test_a_log_is_never_overwritten_by_its_report(write_log, tmp_path, capsys):
         main(["report", str(log), "--out", str(log)])
 
     assert ended.value.code == 2
-    assert "is one of the logs; name another file" in capsys.readouterr().err
+    assert "is what is to be read, which would be lost; name another file" in capsys.readouterr().err
     assert log.read_bytes() == before
 
 

@@ -51,6 +51,7 @@ def test_options_choose_personality_and_links():
         (["--link", "udpin:localhost"], "link.endpoints = 'udpin:localhost': not of the form"),
         (["--seed", "-3"], "vehicle.seed = -3: too small"),
         (["--duration", "0"], "--duration 0: not above zero"),
+        (["--link", ANY, "--truth", str(CONFIG)], f"--truth {CONFIG}: is there and holds no true states"),
         (["--link", ANY, "--truth", "/nowhere/at/all.csv"], "--truth /nowhere/at/all.csv: cannot be written"),
     ],
 )
