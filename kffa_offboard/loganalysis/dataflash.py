@@ -91,6 +91,13 @@ def _format(body: bytes) -> tuple[int, int, _Format] | None:
     return kind, length, _Format(name, dtype, factors)
 
 
+def _is_unknown(body: bytes) -> bool:
+    """True for the declaration of a record with letters that are not known: its length is."""
+    name, letters, columns = (body[a:b].rstrip(b"\0") for a, b in ((2, 6), (6, 22), (22, 86)))
+    whole = name.isalnum() and letters.isascii() and columns.replace(b",", b"").replace(b"_", b"").isalnum()
+    return whole and body[0] != FORMAT_TYPE and body[1] > _HEADER_SIZE and len(letters) > 0
+
+
 def _bytes(path: Path) -> bytes:
     try:
         return path.read_bytes()
@@ -122,11 +129,14 @@ def read(path: Path, names: frozenset[str]) -> DataFlash:
             end_cut = True
             break
         if kind == FORMAT_TYPE:
-            declared = _format(data[offset + _HEADER_SIZE : offset + length])
+            body = data[offset + _HEADER_SIZE : offset + length]
+            declared = _format(body)
             if declared is not None and declared[0] != FORMAT_TYPE and declared[0] not in formats:
                 lengths[declared[0]] = declared[1]
                 formats[declared[0]] = declared[2]
-        else:
+            elif declared is None and _is_unknown(body):
+                lengths.setdefault(body[0], body[1])
+        elif kind in formats:
             offsets.setdefault(kind, []).append(offset)
         offset += length
     if not formats:

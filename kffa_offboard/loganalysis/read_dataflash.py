@@ -21,6 +21,7 @@ from kffa_offboard.mavlink import frames
 from kffa_offboard.mavlink.ardupilot import mode_name
 
 _NAMES = frozenset({"ATT", "RATE", "XKF1", "NKF1", "CTUN", "ARM", "MODE", "MSG", "EV"})
+_OTHER_FIRMWARES = ("ArduPlane", "ArduRover", "ArduSub", "Rover", "Blimp", "AntennaTracker")
 _LANDED, _NOT_LANDED = 18, 28  # LogEvent: LAND_COMPLETE, NOT_LANDED (AP_Logger.h)
 
 _Table: TypeAlias = dict[str, NDArray[np.generic]]
@@ -63,6 +64,9 @@ def read(path: Path) -> FlightRecord:
     """
     log = dataflash.read(path, _NAMES)
     tables = log.tables
+    notes = _notes(tables)
+    if (other := _other_firmware(notes)) is not None:
+        raise UserError(f"{path}: is a log of {other}; only those of multirotors (ArduCopter) can be read")
     degrees = np.pi / 180.0
     attitude = _series(tables.get("ATT"), ("Roll", "Pitch", "Yaw"), degrees, angles=True)
     if not attitude:
@@ -89,10 +93,17 @@ def read(path: Path) -> FlightRecord:
         thrust=max(throttle, key=len),
         armed=_before(_series(tables.get("ARM"), ("ArmState",)), attitude.time_s[0]),
         landed=_before(_landed(tables.get("EV")), attitude.time_s[0]),
-        notes=_notes(tables),
+        notes=notes,
         autopilot="ardupilot",
         damage=tuple(damage),
     )
+
+
+def _other_firmware(notes: tuple[Note, ...]) -> str | None:
+    """The firmware that named itself first, if it flies no multirotors."""
+    names = (note.text.split(" ")[0] for note in notes if note.kind == "text")
+    first = next((name for name in names if name in (*_OTHER_FIRMWARES, "ArduCopter")), None)
+    return first if first in _OTHER_FIRMWARES else None
 
 
 def _before(changes: Series, start_s: float) -> Series:

@@ -168,3 +168,24 @@ def test_a_pipe_is_refused_in_words(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(UserError, match="is a pipe, and a log is read more than once; give a file"):
         read_log(tmp_path / "pipe")
+
+
+def test_a_record_of_a_kind_that_is_not_known_yet_is_passed_over_by_its_length(
+    log_files: dict[str, Path], tmp_path: Path
+) -> None:
+    """ArduPilot adds format letters; "?" is none so far."""
+    known = log_files["dataflash"].read_bytes()
+    path = tmp_path / "newer.BIN"
+    declared = bytes([201, 3 + 7]) + b"NEW\0Q?".ljust(20, b"\0") + b"TimeUS,New".ljust(64, b"\0")
+    record = b"\xa3\x95\xc9" + bytes(range(7))
+    path.write_bytes(known[:89] + b"\xa3\x95\x80" + declared + known[89:] + 10 * record)
+    newer = read_log(path)
+    assert newer.damage == ()
+    assert np.array_equal(newer.attitude.values, read_log(log_files["dataflash"]).attitude.values)
+
+
+def test_a_log_of_a_fixed_wing_vehicle_is_refused(log_files: dict[str, Path], tmp_path: Path) -> None:
+    path = tmp_path / "plane.BIN"
+    path.write_bytes(log_files["dataflash"].read_bytes().replace(b"ArduCopter V4.7.0", b"ArduPlane V4.7.0\0"))
+    with pytest.raises(UserError, match=r"plane\.BIN: is a log of ArduPlane; only those of multirotors"):
+        read_log(path)
