@@ -13,9 +13,11 @@ from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.parts import following_parts, without_parts
 from kffa_offboard.loganalysis.fit import Estimate
 from kffa_offboard.loganalysis.identify import Identification, identify
+from kffa_offboard.loganalysis.mass import USUAL_DELAY_S, steady_hover_thrust, track_mass
 from kffa_offboard.loganalysis.model_file import as_toml, model_tables
 from kffa_offboard.loganalysis.output_files import refuse_inputs, write_text
 from kffa_offboard.loganalysis.read import read_log
+from kffa_offboard.loganalysis.record import FlightRecord
 
 
 def run_identify(logs: list[Path], out: Path | None, link_delay_s: float, as_json: bool) -> int:
@@ -30,13 +32,16 @@ def run_identify(logs: list[Path], out: Path | None, link_delay_s: float, as_jso
             "identify them one kind at a time"
         )
     found = identify(records)
+    warnings = [warning for record in records for warning in _loads(record)]
     if out is not None and found.channels:
         tables = model_tables(found, link_delay_s)
-        write_text(out, as_toml(tables, _comments(found), _head(logs, found, link_delay_s)))
+        write_text(out, as_toml(tables, _comments(found), _head(logs, found, link_delay_s, warnings)))
     if as_json:
-        print(json.dumps(_as_json(found)), flush=True)
+        print(json.dumps(_as_json(found) | {"warnings": warnings}), flush=True)
     else:
         _tell(found, out, Console())
+        for warning in warnings:
+            Console().print(f"warning: {warning}", soft_wrap=True, highlight=False)
         for record in records:
             for problem in record.damage:
                 Console().print(f"PARTIAL: {record.path}: {problem}", soft_wrap=True, highlight=False)
@@ -45,14 +50,29 @@ def run_identify(logs: list[Path], out: Path | None, link_delay_s: float, as_jso
     return 0 if found.channels else 1
 
 
-def _head(logs: list[Path], found: Identification, link_delay_s: float) -> str:
+def _loads(record: FlightRecord) -> list[str]:
+    """A line if a load came or went in the flight, as `shadow` finds it."""
+    hover = steady_hover_thrust(record)
+    track = track_mass(record, hover, USUAL_DELAY_S) if hover is not None and hover > 0.0 else None
+    if track is None or not track.changes:
+        return []
+    times = ", ".join(f"{change.time_s:.1f} s" for change in track.changes)
+    return [
+        f"{record.path.name}: a load came or went at {times}; the figures mix two vehicles and are less "
+        "certain than they say: identify flights in which nothing changes"
+    ]
+
+
+def _head(logs: list[Path], found: Identification, link_delay_s: float, warnings: list[str]) -> str:
     if found.whole_loop:
         delay = "delay_s is that of the whole loop, from the sample to the actuator."
     else:
         delay = (
             f"delay_s is that of the vehicle alone plus {link_delay_s:g} s for the link (--link-delay-ms)."
         )
-    return f"Identified by kffa-offboard from {', '.join(log.name for log in logs)}.\n{delay}"
+    return f"Identified by kffa-offboard from {', '.join(log.name for log in logs)}.\n" + "\n".join(
+        [delay, *warnings]
+    )
 
 
 def _span(estimate: Estimate) -> str:

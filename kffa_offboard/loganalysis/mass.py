@@ -31,6 +31,8 @@ SIGNIFICANT = 6.0
 UNUSUAL = 4.5
 """Standard deviations of what the difference does in the rest of the flight that a change must exceed."""
 MOTOR_LAG_S = 0.05
+USUAL_DELAY_S = 0.04
+"""Of the loop, where the flight does not tell it."""
 CONTACT_S = 2.0
 """So long after lift-off and before landing the ground may carry a part of the weight."""
 CLEARANCE_M = 0.3

@@ -22,7 +22,13 @@ from kffa_offboard.loganalysis.link_quality import (
     stream_quality,
     verdict,
 )
-from kffa_offboard.loganalysis.mass import MOTOR_LAG_S, MassTrack, steady_hover_thrust, track_mass
+from kffa_offboard.loganalysis.mass import (
+    MOTOR_LAG_S,
+    USUAL_DELAY_S,
+    MassTrack,
+    steady_hover_thrust,
+    track_mass,
+)
 from kffa_offboard.loganalysis.record import Array, FlightRecord
 from kffa_offboard.offboard.settings import LimitSettings, OutputKind
 
@@ -81,7 +87,7 @@ def shadow(record: FlightRecord, config: Path | None) -> Shadow:
         record=record,
         model=model,
         estimates=run_estimators(record, model),
-        mass=track_mass(record, model.hover_thrust, 0.04 if loop_delay is None else loop_delay),
+        mass=track_mass(record, model.hover_thrust, USUAL_DELAY_S if loop_delay is None else loop_delay),
         attitude=attitude,
         position=position,
         response_delays_s=delays,

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from kffa_offboard.loganalysis.identify_command import run_identify
 from kffa_offboard.loganalysis.read import read_log
 from kffa_offboard.loganalysis.shadow import shadow
 
@@ -58,3 +59,10 @@ def test_px4s_axes_are_turned() -> None:
     after_drop = (record.velocity.time_s > 70.05) & (record.velocity.time_s < 70.3)
     assert climb[after_drop].max() > 0.05
     assert abs(record.attitude.values[:, :2]).max() < 0.05
+
+
+def test_identify_warns_of_a_load_that_comes_and_goes(capsys: pytest.CaptureFixture[str]) -> None:
+    """A flight with 5 kg for a while gave b0 of the altitude with an interval that the truth was not in."""
+    run_identify([PX4_LOG], None, 0.0, as_json=False)
+    said = " ".join(capsys.readouterr().out.split())
+    assert f"warning: {PX4_LOG.name}: a load came or went at 60.1 s, 70.1 s; the figures mix two" in said
