@@ -13,7 +13,7 @@ from kffa_offboard.config import DaemonConfig
 from kffa_offboard.config_log import flight_header, make_companion, parameter_keeper
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.plot import PlotStream
-from kffa_offboard.flightlog.writer import TlogWriter
+from kffa_offboard.flightlog.writer import LogExists, TlogWriter
 from kffa_offboard.mavlink.address import NetworkAddress, parse_url
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.link import open_link
@@ -106,7 +106,8 @@ def open_vehicle(
             sources.append(stored.take_trouble)
         writer = None
         if log is not None:
-            writer = stack.enter_context(_log_writer(config, options, log, route, changed))
+            writer = stack.enter_context(_log_writer(config, options, name, route, changed))
+            log = writer.path
             sources.append(writer.take_trouble)
         _say_begin(shared.console, config, link, name)
         session = Session(
@@ -180,15 +181,24 @@ def _say_what_is_left(session: Session, file: ParameterFile) -> None:
 
 
 def _log_writer(
-    config: DaemonConfig, options: RunOptions, path: Path, route: Route, changed: ParameterFile
+    config: DaemonConfig, options: RunOptions, name: str, route: Route, changed: ParameterFile
 ) -> TlogWriter:
-    return TlogWriter(
-        path,
-        header=flight_header(config, options.lockstep, changed),
-        system_id=route.own_system,
-        component_id=route.own_component,
-        part_size=config.log.part_size,
-    )
+    """Begin the log, under the next free name where another process has just taken this one."""
+    header = flight_header(config, options.lockstep, changed)
+    while True:
+        path = _log_path(config, options, name)
+        assert path is not None
+        try:
+            return TlogWriter(
+                path,
+                header=header,
+                system_id=route.own_system,
+                component_id=route.own_component,
+                part_size=config.log.part_size,
+            )
+        except LogExists:
+            if options.log is not None:
+                raise
 
 
 @contextmanager

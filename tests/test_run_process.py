@@ -118,9 +118,9 @@ def test_a_log_of_the_same_second_gets_another_name(tmp_path, monkeypatch):
     ]
 
 
-def said_by(capsys, *options):
+def said_by(capsys, *options, config=None):
     with pytest.raises(SystemExit) as ended:
-        cli.main(["run", "--config", str(bundled("px4-udp.toml")), *options])
+        cli.main(["run", "--config", str(config or bundled("px4-udp.toml")), *options])
     assert ended.value.code == 2
     return capsys.readouterr().err.splitlines()[-1]
 
@@ -189,3 +189,44 @@ def test_a_log_that_is_not_complete_is_told_beside_how_the_flight_ended(monkeypa
     said = capsys.readouterr()
     assert "is not complete: No space left on device" in said.err
     assert json.loads(said.out.splitlines()[-1])["reason"] == "scenario done, landed"
+
+
+def test_a_log_name_that_another_process_takes_at_the_same_moment_is_left_to_it(
+    tmp_path, monkeypatch, capsys
+):
+    """Two services that are started in the same second log to one directory."""
+    create, taken = writer._create, []
+
+    def later(path):
+        if not taken:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(b"of the other one")
+            taken.append(path)
+        return create(path)
+
+    monkeypatch.setattr(writer, "_create", later)
+    config = tmp_path / "short.toml"
+    text = bundled("px4-udp.toml").read_text().replace("[telemetry]", "[telemetry]\nconnect_timeout_s = 0.1")
+    config.write_text(text.replace('directory = "logs"', f'directory = "{tmp_path / "logs"}"'))
+    assert "no vehicle answered" in said_by(capsys, "--link", "udpin:127.0.0.1:0", config=config)
+    first, second = sorted((tmp_path / "logs").glob("*.tlog"), key=lambda log: len(log.name))
+    assert taken == [first]
+    assert first.read_bytes() == b"of the other one"
+    assert second.stat().st_size > 0
+
+
+def test_a_log_directory_that_is_a_file_or_has_too_long_a_name_is_one_line(tmp_path, capsys):
+    (tmp_path / "file").touch()
+    text = bundled("px4-udp.toml").read_text()
+    for name, said in (
+        ("file", "cannot make directory"),
+        ("x" * 300, "File name too long; name another file"),
+    ):
+        config = tmp_path / "odd.toml"
+        config.write_text(text.replace('directory = "logs"', f'directory = "{tmp_path / name}"'))
+        assert said in said_by(capsys, "--link", "udpin:127.0.0.1:0", config=config)
+    for command in ("replay", "report", "export", "identify", "shadow"):
+        with pytest.raises(SystemExit) as ended:
+            cli.main([command, str(tmp_path / ("x" * 300 + ".tlog"))])
+        assert ended.value.code == 2
+        assert "ile name too long" in capsys.readouterr().err

@@ -34,6 +34,10 @@ QUEUE_SIZE = 100_000
 """Records that may wait for the disk: minutes of traffic. Beyond it records are dropped and counted."""
 
 
+class LogExists(UserError):
+    """A file of that name is there already; nothing is overwritten."""
+
+
 class TlogWriter:
     """A log being written. Nothing here waits for the disk but `close`. A context manager.
 
@@ -44,7 +48,8 @@ class TlogWriter:
     Parameters
     ----------
     path
-        The first file; missing directories are made. Raises UserError if it exists or cannot be made.
+        The first file; missing directories are made. Raises LogExists if it exists, UserError if it cannot be
+        made.
     header
         How the flight is set up; None for a log without.
     system_id, component_id
@@ -295,7 +300,7 @@ def _create(path: Path) -> Any:
     try:
         return path.open("xb", buffering=0)
     except FileExistsError as error:
-        raise UserError(f"flight log {path} exists already; choose another name or move it away") from error
+        raise LogExists(f"flight log {path} exists already; choose another name or move it away") from error
     except OSError as error:
         raise UserError(
             f"cannot write flight log {path}: {error.strerror}; choose another log.directory"

@@ -44,7 +44,7 @@ class ParameterFile:
         """What is in the file, None if there is none."""
         try:
             return self.path.read_text(encoding="utf-8")
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError) as error:
             raise self._unreadable(error) from error
