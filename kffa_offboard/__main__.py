@@ -1,6 +1,20 @@
-"""``python -m kffa_offboard``: the same as the command kffa-offboard."""
+"""The command kffa-offboard, also as ``python -m kffa_offboard``; Ctrl-C is met from the first moment on."""
 
-from kffa_offboard.cli import main
+import sys
+
+INTERRUPTED = 130
+
+
+def main() -> None:
+    """Load the command line, which takes a while, and run it."""
+    try:
+        from kffa_offboard.cli import main as run
+
+        run()
+    except KeyboardInterrupt:
+        print("stopped", file=sys.stderr)
+        sys.exit(INTERRUPTED)
+
 
 if __name__ == "__main__":
     main()

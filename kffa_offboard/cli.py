@@ -33,6 +33,10 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line; what a person can put right is one line on stderr and status 2."""
     try:
         app(args=arguments)
+    except SystemExit as ended:
+        if ended.__context__ is not None and isinstance(ended.__context__.__cause__, KeyboardInterrupt):
+            print("stopped", file=sys.stderr)  # typer only makes a status of it
+        raise
     except UserError as error:
         for line in str(error).splitlines():
             print(f"error: {line}", file=sys.stderr)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 from typing import get_args
 
@@ -98,3 +100,36 @@ def test_a_directory_that_cannot_be_made_is_refused(
 def test_the_help_of_identify_names_its_tables_in_full(capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of("identify", "--help") == 0
     assert "[control.attitude.*]" in capsys.readouterr().out
+
+
+INTERRUPTED_WHILE_LOADING = """
+import sys
+from {package}.__main__ import main
+
+class CtrlC:
+    def find_spec(self, name, path=None, target=None):
+        if name == "typer":
+            raise KeyboardInterrupt
+
+sys.meta_path.insert(0, CtrlC())
+main()
+"""
+
+
+@pytest.mark.parametrize("package", ["kffa_offboard", "sim_vehicle"])
+def test_ctrl_c_while_the_program_is_being_loaded_ends_it_without_a_traceback(package: str) -> None:
+    code = INTERRUPTED_WHILE_LOADING.format(package=package)
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert ended.returncode == 130
+    assert "Traceback" not in ended.stderr
+
+
+def test_ctrl_c_ends_a_command_that_reads_logs_with_a_word(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(plan: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("kffa_offboard.replay.command.run_replay", interrupt)
+    assert status_of("replay", "flight.tlog") == 130
+    assert capsys.readouterr().err == "stopped\n"
