@@ -13,7 +13,7 @@ from typing import Any
 
 from common import Probe, daemon_config, free_port
 
-PATIENT = "timeout_s = 5\nposition_timeout_s = 5\nheartbeat_timeout_s = 20\nlate_max_s = 20\n"
+PATIENT = "timeout_s = 3\nposition_timeout_s = 3\nheartbeat_timeout_s = 20\nlate_max_s = 20\n"
 """What a loaded machine does to telemetry is to be measured, not to end the flight."""
 
 TICKS_PER_S = os.sysconf("SC_CLK_TCK")

@@ -265,6 +265,10 @@ def test_nothing_arms_or_engages_unless_the_command_line_says_so(file: Path) -> 
             "set it above omega_c = 9 rad/s, usually 3 to 5 times",
         ),
         (
+            "[telemetry]\ntimeout_s = 30",
+            "telemetry.timeout_s = 30: is above 3 s; were these milliseconds?",
+        ),
+        (
             "[position]\nbraking_m_s2 = 0.001",
             "position.braking_m_s2 = 0.001: must be at least 0.1 m/s^2",
         ),
