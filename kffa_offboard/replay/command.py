@@ -9,6 +9,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
@@ -16,6 +17,7 @@ from kffa_offboard import __version__
 from kffa_offboard.config import DaemonConfig, load
 from kffa_offboard.config_log import LIBRARIES, config_of, overrides_of
 from kffa_offboard.flightlog.notes import Header
+from kffa_offboard.flightlog.signals import STATE_NAMES
 from kffa_offboard.replay.compare import Comparison, WhatIf, compare, what_if
 from kffa_offboard.replay.engine import replay, replay_what_if
 from kffa_offboard.replay.recording import Recording, read_recording
@@ -121,6 +123,18 @@ _UNITS = {
 }
 
 
+def _nothing_to_compare(plan: ReplayPlan, result: WhatIf) -> str:
+    """Why no step is engaged in both."""
+    if not len(result.recorded.time_us):
+        return f"{plan.log} holds no inner signals to compare with"
+    if not np.any(result.recorded.state == STATE_NAMES.index("engaged")):
+        return f"the daemon was not engaged in {plan.log}"
+    return (
+        f"with {plan.config} the daemon would not have been engaged at any time that it was; is it for this "
+        "vehicle (link.target_system)?"
+    )
+
+
 def _tell_what_if(plan: ReplayPlan, recording: Recording, config: DaemonConfig, result: WhatIf) -> int:
     if plan.json:
         document = {
@@ -135,6 +149,11 @@ def _tell_what_if(plan: ReplayPlan, recording: Recording, config: DaemonConfig, 
         print(json.dumps(document))
         return 0
     console = Console()
+    if not result.steps:
+        console.print(
+            f"nothing to compare: {_nothing_to_compare(plan, result)}", soft_wrap=True, markup=False
+        )
+        return 0
     table = Table(title=f"{plan.log.name} with {plan.config}: what would have changed while engaged")
     for heading in ("signal", "channel"):
         table.add_column(heading)

@@ -283,7 +283,9 @@ def _remarks(collector: _Collector) -> Iterator[str]:
             yield "the controller's signals are those that were sent live, thinned"
         else:
             yield "the log has no inner signals of the controller: only what was measured is shown"
-    if collector.header is not None and collector.end is None:
+    if collector.header is not None and collector.header.part > 1:
+        yield f"is part {collector.header.part} of a flight alone; name its first file to see all of it"
+    elif collector.header is not None and collector.end is None:
         yield "the log breaks off: the daemon was killed, or still writes it"
     if others := collector.systems - {collector.shown}:
         names = ", ".join(map(str, sorted(others)))

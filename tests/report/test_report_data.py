@@ -182,6 +182,8 @@ def test_a_compressed_flight_and_its_second_part_are_one_flight(write_log, tmp_p
 
     assert without_parts(logs) == [tmp_path / "packed.tlog.gz"]
     assert read_flight(logs[1]).duration_s == pytest.approx(11.99)
+    remarks = read_flight(logs[0]).remarks
+    assert remarks == ("is part 2 of a flight alone; name its first file to see all of it",)
 
 
 def test_flights_called_alike_are_told_apart_by_their_directories(tmp_path):

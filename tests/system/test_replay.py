@@ -195,6 +195,16 @@ def test_another_output_estimates_height_from_the_thrust_that_was_flown(drop):
     assert changes["disturbance", "roll"].largest < 5.0
 
 
+def test_a_configuration_that_nothing_can_be_compared_with_is_told_why(drop, tmp_path):
+    other, ours = tmp_path / "other.toml", bundled("demo-px4.toml")
+    other.write_text(ours.read_text().replace("[link]", "[link]\ntarget_system = 7"))
+    said = CliRunner().invoke(app, ["replay", str(drop), "--config", str(other)]).output
+    assert "the daemon would not have been engaged at any time that it was" in " ".join(said.split())
+    golden = str(Path(__file__).parents[1] / "golden" / "flights" / "px4-drop.tlog.gz")
+    said = CliRunner().invoke(app, ["replay", golden, "--config", str(ours)]).output
+    assert "holds no inner signals to compare with" in " ".join(said.split())
+
+
 def test_the_same_configuration_changes_nothing(drop):
     recording, again = replayed(drop)
     result = what_if(recording, again)
