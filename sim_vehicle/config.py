@@ -295,6 +295,10 @@ def load(path: Path, overrides: Mapping[str, Mapping[str, Any]] | None = None) -
         raise SimulatorError(f"{path}: not valid TOML: {problem}") from problem
     except (ValueError, RecursionError) as problem:  # thousands of digits, thousands of brackets
         raise SimulatorError(f"{path}: holds a number or a nesting that is too long; shorten it") from problem
+    if "control" in values:
+        raise SimulatorError(
+            f"{path}: is a configuration of the daemon; give it to `kffa-offboard run --config`"
+        )
     signing = values.get("signing")
     if isinstance(signing, dict) and isinstance(name := signing.get("key_file"), str):
         try:

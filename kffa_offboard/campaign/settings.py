@@ -153,6 +153,9 @@ def load_campaign(path: Path, controllers: tuple[ControllerName, ...] = ()) -> C
     `controllers` fly instead of the configuration's own. Raises ConfigError, one line for each problem.
     """
     document = read_toml(path)
+    if "control" in document and "campaign" not in document:
+        use = "the daemon; name it in a campaign's file as campaign.config, or give it to `kffa-offboard run`"
+        raise ConfigError(str(path), [f"is a configuration of {use}"])
     try:
         file = CampaignFile.model_validate(document)
     except ValidationError as error:

@@ -72,3 +72,12 @@ def test_the_digest_names_all_that_decides_and_not_the_number_of_flights(campaig
     assert pickle.loads(pickle.dumps(campaign)).digest("kffa-ladrc") == digest
     gains = load_campaign(bundled("campaign.toml"), ("ladrc",)).digest("ladrc")
     assert gains != load_campaign(bundled("campaign.toml")).digest("kffa-ladrc")
+
+
+def test_a_configuration_of_the_daemon_is_called_so_in_one_line() -> None:
+    with pytest.raises(ConfigError) as refused:
+        load_campaign(bundled("demo-px4.toml"))
+    assert len(refused.value.args[0].splitlines()) == 1
+    assert "is a configuration of the daemon; name it in a campaign's file as campaign.config" in str(
+        refused.value
+    )

@@ -47,6 +47,10 @@ def test_options_choose_personality_and_links():
     ("arguments", "error"),
     [
         (["--config", "nowhere.toml"], "nowhere.toml: no such file"),
+        (
+            ["--config", str(CONFIG.with_name("demo-px4.toml"))],
+            "is a configuration of the daemon; give it to",
+        ),
         (["--personality", "cleanflight"], "vehicle.personality = 'cleanflight': not a choice"),
         (["--link", "udpin:localhost"], "link.endpoints = 'udpin:localhost': not of the form"),
         (["--seed", "-3"], "vehicle.seed = -3: too small"),
