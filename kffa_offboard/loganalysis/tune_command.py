@@ -11,8 +11,9 @@ from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 
-from kffa_offboard.config import read_toml
+from kffa_offboard.config import ConfigError, read_toml
 from kffa_offboard.config_control import ControlTable
+from kffa_offboard.config_errors import explain
 from kffa_offboard.control.controllers import CHANNELS
 from kffa_offboard.errors import UserError
 from kffa_offboard.loganalysis.margins import Wanted
@@ -54,7 +55,7 @@ def run_tune(
 def control_of(given: Any, name: str) -> tuple[ControlTable, tuple[int, ...]]:
     """The `[control]` table with defaults for what is missing, and the channels that are given.
 
-    Raises UserError for a model that is none.
+    Raises UserError for a model that is none, one line for each problem.
     """
     if not isinstance(given, dict) or not any(key in given for key in ("altitude", "rates", "attitude")):
         raise UserError(
@@ -65,9 +66,7 @@ def control_of(given: Any, name: str) -> tuple[ControlTable, tuple[int, ...]]:
     try:
         control = ControlTable.model_validate(complete)
     except ValidationError as error:
-        first = error.errors()[0]
-        key = ".".join(str(part) for part in ("control", *first["loc"]))
-        raise UserError(f"{name}: {key}: {first['msg']}") from error
+        raise ConfigError(name, [f"control.{line}" for line in explain(error, ControlTable)]) from error
     axes = given.get(output, {})
     channels = [k for k, channel in enumerate(CHANNELS[:3]) if channel in axes]
     if "altitude" in given:

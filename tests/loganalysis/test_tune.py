@@ -255,3 +255,13 @@ def test_tune_writes_tables_that_load_and_a_picture(
     control, _ = control_of(tuned["control"], "tuned.toml")
     assert control.rates.roll.omega_c > 1.0
     assert (tmp_path / "out" / "loops.png").stat().st_size > 10_000
+
+
+def test_every_wrong_value_of_a_model_is_a_line_with_key_value_and_limit() -> None:
+    given = {"altitude": {"hover_thrust": 0.0, "delay_s": 2.0}}
+    with pytest.raises(UserError) as refused:
+        control_of(given, "model.toml")
+    assert sorted(str(refused.value).splitlines()) == [
+        "model.toml: control.altitude.delay_s = 2.0: is above 0.5 s; were these milliseconds?",
+        "model.toml: control.altitude.hover_thrust = 0.0: must be at least 0.05 of full thrust",
+    ]
