@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.compare.measure import LoadFigures
 from kffa_offboard.flightlog.tlog import read_tlog
@@ -61,8 +62,7 @@ def read_heights(log: Path, delay_s: float) -> HeightLog:
     """
     rows = [
         (time_us * 1e-6, message.time_boot_ms * 1e-3, -message.z, -message.vz)
-        for time_us, message in read_tlog(log)
-        if message.get_type() == "LOCAL_POSITION_NED"
+        for time_us, message in read_tlog(log, kinds=(mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,))
     ]
     if not rows:
         raise FlightFailed(f"{log} holds no LOCAL_POSITION_NED")

@@ -135,23 +135,42 @@ def from_message(message: Any) -> Signals:
     )
 
 
+class SignalRows:
+    """Signal messages of a flight as they come: 240 bytes each, as many as on the wire."""
+
+    def __init__(self) -> None:
+        self._times = array("q")
+        self._data = array("f")
+
+    def __len__(self) -> int:
+        return len(self._times)
+
+    def add(self, message: Any) -> None:
+        """One more control step."""
+        self._times.append(message.time_usec)
+        self._data.extend(message.data)
+
+    def table(self) -> SignalTable:
+        """All of them; none give arrays without rows."""
+        data = np.array(self._data, dtype=float).reshape(len(self), _SIZE)
+        blocks = {
+            name: data[:, CHANNELS * number : CHANNELS * (number + 1)] for number, name in enumerate(BLOCKS)
+        }
+        place = data[:, _PLACE + 1 : _PLACE + 3]
+        return SignalTable(
+            time_us=np.array(self._times, dtype=np.int64),
+            state=data[:, _STATE].astype(np.int64),
+            dt=data[:, _DT],
+            latency_s=data[:, _LATENCY],
+            saturated=data[:, _SATURATED : _SATURATED + CHANNELS] != 0.0,
+            position_reference=np.where(data[:, _PLACE, None] != 0.0, place, np.nan),
+            **blocks,
+        )
+
+
 def table(messages: Iterable[Any]) -> SignalTable:
     """Collect signal messages into arrays; no messages give arrays without rows."""
-    times: list[int] = []
-    rows: list[list[float]] = []
+    rows = SignalRows()
     for message in messages:
-        times.append(message.time_usec)
-        rows.append(message.data)
-    data = np.array(rows, dtype=float).reshape(len(rows), _SIZE)
-    blocks = {
-        name: data[:, CHANNELS * number : CHANNELS * (number + 1)] for number, name in enumerate(BLOCKS)
-    }
-    return SignalTable(
-        time_us=np.array(times, dtype=np.int64),
-        state=data[:, _STATE].astype(np.int64),
-        dt=data[:, _DT],
-        latency_s=data[:, _LATENCY],
-        saturated=data[:, _SATURATED : _SATURATED + CHANNELS] != 0.0,
-        position_reference=np.where(data[:, _PLACE, None] != 0.0, data[:, _PLACE + 1 : _PLACE + 3], np.nan),
-        **blocks,
-    )
+        rows.add(message)
+    return rows.table()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gzip
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import IO, Any, TypeAlias
 
@@ -28,6 +28,8 @@ _OVERHEAD_V1 = 8
 _OVERHEAD_V2 = 12
 _SIGNATURE_SIZE = 13
 
+SIGNAL_KINDS = (mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,)
+
 
 def frame_size(head: bytes) -> int | None:
     """Length of the MAVLink frame that begins with these 3 bytes; None if they begin none."""
@@ -38,6 +40,11 @@ def frame_size(head: bytes) -> int | None:
         signed = flags & mavlink.MAVLINK_IFLAG_SIGNED
         return _OVERHEAD_V2 + payload_size + (_SIGNATURE_SIZE if signed else 0)
     return None
+
+
+def message_id(frame: bytes) -> int:
+    """Of a whole frame of either version."""
+    return int.from_bytes(frame[7:10], "little") if frame[0] == _MARKER_V2 else frame[5]
 
 
 class TlogReader:
@@ -56,9 +63,10 @@ class TlogReader:
 
     """
 
-    def __init__(self, path: Path, *, even: bool = False) -> None:
+    def __init__(self, path: Path, *, even: bool = False, kinds: Collection[int] | None = None) -> None:
         self._path = path
         self._even = even
+        self._kinds = kinds
         self.clock_steps_s: list[float] = []
         self.truncated = False
         self.damaged = 0
@@ -69,6 +77,8 @@ class TlogReader:
         Raises UserError if the file cannot be read or is no telemetry log.
         """
         for time_us, frame in self.frames():
+            if self._kinds is not None and message_id(frame) not in self._kinds:
+                continue
             try:
                 yield time_us, decode(frame)
             except mavlink.MAVError:
@@ -136,9 +146,12 @@ def _open(path: Path) -> _Source:
     return gzip.open(path, "rb")
 
 
-def read_tlog(path: Path, *, even: bool = False) -> TlogReader:
-    """Open a log for reading: ``for time_us, message in read_tlog(path)``."""
-    return TlogReader(path, even=even)
+def read_tlog(path: Path, *, even: bool = False, kinds: Collection[int] | None = None) -> TlogReader:
+    """Open a log for reading: ``for time_us, message in read_tlog(path)``.
+
+    With `kinds`, messages with other ids are passed over without a look.
+    """
+    return TlogReader(path, even=even, kinds=kinds)
 
 
 def clock_remarks(reader: TlogReader) -> list[str]:
@@ -154,4 +167,4 @@ def read_signals(path: Path) -> SignalTable:
 
     Raises UserError if the file is missing or no telemetry log.
     """
-    return table(message for _, message in read_tlog(path) if is_signals(message))
+    return table(message for _, message in read_tlog(path, kinds=SIGNAL_KINDS) if is_signals(message))

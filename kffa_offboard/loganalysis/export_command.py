@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.plot import csv_lines
-from kffa_offboard.flightlog.signals import ARRAY_ID, LIVE_ARRAY_ID, SignalTable, is_signals, table
-from kffa_offboard.flightlog.tlog import read_tlog
+from kffa_offboard.flightlog.signals import ARRAY_ID, LIVE_ARRAY_ID, SignalRows, SignalTable, is_signals
+from kffa_offboard.flightlog.tlog import SIGNAL_KINDS, read_tlog
 from kffa_offboard.loganalysis.output_files import refuse_inputs
 
 
@@ -33,16 +32,16 @@ def run_export(log: Path, out: Path | None) -> int:
 
 def _signals(log: Path) -> SignalTable:
     """Signals of the flight with its further parts: of every step, else those that were sent live."""
-    found: dict[int, list[Any]] = {ARRAY_ID: [], LIVE_ARRAY_ID: []}
+    found = {ARRAY_ID: SignalRows(), LIVE_ARRAY_ID: SignalRows()}
     for part in (log, *following_parts(log)):
-        for _, message in read_tlog(part):
-            for array_id, messages in found.items():
+        for _, message in read_tlog(part, kinds=SIGNAL_KINDS):
+            for array_id, rows in found.items():
                 if is_signals(message, array_id):
-                    messages.append(message)
+                    rows.add(message)
     chosen = found[ARRAY_ID] or found[LIVE_ARRAY_ID]
     if not chosen:
         raise UserError(
             f"flight log {log}: no inner signals; only logs of `kffa-offboard run`, and of ground stations "
             "while it ran with [signals] rate_hz above 0, have them"
         )
-    return table(chosen)
+    return chosen.table()

@@ -8,6 +8,7 @@ therefore that of the whole loop, telemetry and command, which is what `delay_s`
 
 from __future__ import annotations
 
+from array import array
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -34,6 +35,19 @@ AUTOPILOT_COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 _REBOOT_S = 1.0  # a boot clock that falls back by more than this began anew
 _BOOT_CLOCK_RANGE_MS = 2**32
 _AUTOPILOTS = {mavlink.MAV_AUTOPILOT_PX4: "px4", mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA: "ardupilot"}
+_KINDS = frozenset(
+    {
+        mavlink.MAVLINK_MSG_ID_HEARTBEAT,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE,
+        mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
+        mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET,
+        mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET,
+        mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
+        mavlink.MAVLINK_MSG_ID_VFR_HUD,
+        mavlink.MAVLINK_MSG_ID_STATUSTEXT,
+        mavlink.MAVLINK_MSG_ID_TUNNEL,
+    }
+)
 _IGNORE_RATES = 7
 _SAME_THRUST = 0.1
 _IGNORE_ATTITUDE = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
@@ -41,23 +55,24 @@ _IGNORE_ATTITUDE = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
 
 @dataclass
 class _Column:
-    """Rows as they come."""
+    """Rows as they come, `values` one after the other."""
 
-    time_s: list[float] = field(default_factory=list)
-    arrival_s: list[float] = field(default_factory=list)
-    values: list[tuple[float, ...]] = field(default_factory=list)
+    time_s: array[float] = field(default_factory=lambda: array("d"))
+    arrival_s: array[float] = field(default_factory=lambda: array("d"))
+    values: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, time_s: float, arrival_s: float, values: tuple[float, ...]) -> None:
         self.time_s.append(time_s)
         self.arrival_s.append(arrival_s)
-        self.values.append(values)
+        self.values.extend(values)
 
     def series(self, columns: int) -> Series:
-        return series_with_arrival(self.time_s, self.values, self.arrival_s, columns)
+        times, values, arrivals = map(np.array, (self.time_s, self.values, self.arrival_s))
+        return series_with_arrival(times, values, arrivals, columns)
 
     def sent(self, offset_s: float, columns: int) -> Series:
         """Series of what has arrival times only, on the vehicle's clock."""
-        return series(np.array(self.arrival_s) - offset_s, self.values, columns)
+        return series(np.array(self.arrival_s) - offset_s, np.array(self.values), columns)
 
 
 @dataclass
@@ -283,7 +298,7 @@ def read(path: Path) -> FlightRecord:
 
 
 def _read_part(path: Path, log: _Log) -> None:
-    reader = read_tlog(path, even=True)
+    reader = read_tlog(path, even=True, kinds=_KINDS)
     try:
         for time_us, message in reader:
             log.take(time_us * 1e-6, message)

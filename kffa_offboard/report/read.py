@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,7 +16,8 @@ from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog import signals
 from kffa_offboard.flightlog.notes import End, Header, Lost, NoteReader, is_note
 from kffa_offboard.flightlog.parts import following_parts
-from kffa_offboard.flightlog.tlog import clock_remarks, read_tlog
+from kffa_offboard.flightlog.tlog import clock_remarks, message_id, read_tlog
+from kffa_offboard.frame_codec import decode
 from kffa_offboard.loganalysis import dataflash
 from kffa_offboard.loganalysis.read import ULOG_MAGIC, first_bytes
 from kffa_offboard.mavlink.component import Route
@@ -40,7 +42,6 @@ _WANTED = frozenset(
         mavlink.MAVLINK_MSG_ID_TUNNEL,
     }
 )
-_MARKER_V2 = 0xFD
 _AUTOPILOTS = (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA)
 _ONBOARD = (ULOG_MAGIC, dataflash.HEADER)
 _OWN_COMPONENT = Route().own_component
@@ -49,14 +50,18 @@ _LOAD_TEXT = re.compile(r"(picked up|dropped) (\d+(?:\.\d+)?) kg")
 
 @dataclass
 class _Column:
-    """Times [us] and rows as they come."""
+    """Times [us] and rows as they come, `values` one row after the other."""
 
-    time_us: list[int] = field(default_factory=list)
-    rows: list[tuple[float, ...]] = field(default_factory=list)
+    time_us: array[int] = field(default_factory=lambda: array("q"))
+    values: array[float] = field(default_factory=lambda: array("d"))
 
     def add(self, time_us: int, row: tuple[float, ...]) -> None:
         self.time_us.append(time_us)
-        self.rows.append(row)
+        self.values.extend(row)
+
+    def columns(self, width: int) -> Any:
+        """Of all rows ``(width, rows)``."""
+        return np.array(self.values).reshape(-1, width).T
 
 
 @dataclass
@@ -67,8 +72,8 @@ class _Collector:
     end: End | None = None
     first_us: int | None = None
     last_us: int = 0
-    full: list[Any] = field(default_factory=list)
-    live: list[Any] = field(default_factory=list)
+    full: signals.SignalRows = field(default_factory=signals.SignalRows)
+    live: signals.SignalRows = field(default_factory=signals.SignalRows)
     attitude: _Column = field(default_factory=_Column)
     position: _Column = field(default_factory=_Column)
     load: _Column = field(default_factory=_Column)
@@ -94,9 +99,9 @@ class _Collector:
             self._take_note(time_us, message)
         elif self._is_own(message):
             if signals.is_signals(message):
-                self.full.append(message)
+                self.full.add(message)
             elif signals.is_signals(message, signals.LIVE_ARRAY_ID):
-                self.live.append(message)
+                self.live.add(message)
             self._take_own(time_us, message)
         else:
             self._take_telemetry(time_us, message)
@@ -210,7 +215,7 @@ def read_flight(path: Path, name: str | None = None) -> Flight:
     if collector.header is not None:
         for part in following_parts(path):
             _read_part(part, collector)
-    if not collector.full and not collector.live and not collector.attitude.rows:
+    if not collector.full and not collector.live and not collector.attitude.values:
         why = "holds no attitude of a PX4 or ArduPilot multirotor"
         if collector.first_us is None:
             why = "is empty"
@@ -225,15 +230,14 @@ def short_name(path: Path) -> str:
 
 def _read_part(path: Path, collector: _Collector) -> None:
     log = read_tlog(path, even=True)
-    parser = mavlink.MAVLink(None)
     damaged = 0
     try:
         for time_us, frame in log.frames():
             collector.pass_by(time_us)
-            if frame[0] == _MARKER_V2 and int.from_bytes(frame[7:10], "little") not in _WANTED:
+            if message_id(frame) not in _WANTED:
                 continue
             try:
-                collector.take(time_us, parser.decode(bytearray(frame)))
+                collector.take(time_us, decode(frame))
             except mavlink.MAVError:
                 damaged += 1
     except UserError as error:
@@ -249,7 +253,7 @@ def _read_part(path: Path, collector: _Collector) -> None:
 
 def _flight(collector: _Collector, path: Path, name: str) -> Flight:
     begin_us, header = collector.first_us or 0, collector.header
-    table = signals.table(collector.full or collector.live)
+    table = (collector.full or collector.live).table()
     lines = signal_lines(table, begin_us)
     measured = dict(_measured(collector, begin_us))
     # What was sent live is thinned; telemetry is whole.
@@ -309,14 +313,14 @@ def _origin(header: Header | None, path: Path, begin_us: int) -> Origin:
 
 def _measured(collector: _Collector, begin_us: int) -> Iterator[tuple[Any, Line]]:
     attitude, position = collector.attitude, collector.position
-    columns = np.array(attitude.rows, dtype=float).reshape(-1, 3).T
+    columns = attitude.columns(3)
     for channel, values in zip(("roll", "pitch", "yaw"), columns, strict=True):
         if len(values):
             yield ("measured", channel), line(_since(np.array(attitude.time_us), begin_us), values)
-    if not position.rows:
+    if not position.values:
         return
     time_s = _since(np.array(position.time_us), begin_us)
-    x, y, z = np.array(position.rows, dtype=float).T
+    x, y, z = position.columns(3)
     for channel, values in (("altitude", z), ("north", x), ("east", -y)):
         yield ("measured", channel), line(time_s, values)
 
@@ -330,9 +334,9 @@ def _since(time_us: Any, begin_us: int) -> Any:
 
 
 def _column(column: _Column, begin_us: int) -> Line | None:
-    if not column.rows:
+    if not column.values:
         return None
-    return line(_since(np.array(column.time_us), begin_us), [row[0] for row in column.rows])
+    return line(_since(np.array(column.time_us), begin_us), np.array(column.values))
 
 
 def _clean(found: Line) -> Line | None:
