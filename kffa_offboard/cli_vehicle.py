@@ -100,10 +100,7 @@ def open_vehicle(
             config = _after_interruption(config, options, mark, shared.console)
             observers.append(mark)
             sources.append(mark.take_trouble)
-        if config.tuning.store is not None:
-            stored = stack.enter_context(_said_at_the_end(TuningWriter(config.tuning.store)))
-            config = replace(config, tuning=replace(config.tuning, store=stored))
-            sources.append(stored.take_trouble)
+        config = _stored_beside_control(config, stack, sources)
         writer = None
         if log is not None:
             writer = stack.enter_context(_log_writer(config, options, name, route, changed))
@@ -127,6 +124,17 @@ def open_vehicle(
             yield VehicleRun(name, config, log, session, watch)
         finally:
             _say_what_is_left(session, changed)
+
+
+def _stored_beside_control(
+    config: DaemonConfig, stack: ExitStack, sources: list[TroubleSource]
+) -> DaemonConfig:
+    """The same, with a thread between control and the file of changed parameters, if there is one."""
+    if config.tuning.store is None:
+        return config
+    stored = stack.enter_context(_said_at_the_end(TuningWriter(config.tuning.store)))
+    sources.append(stored.take_trouble)
+    return replace(config, tuning=replace(config.tuning, store=stored))
 
 
 @contextmanager

@@ -19,7 +19,7 @@ from kffa_offboard.config_process import ProcessSettings
 from kffa_offboard.config_tables import ConfigFile
 from kffa_offboard.config_together import check_together
 from kffa_offboard.config_tuning import ConfigTuning
-from kffa_offboard.config_tuning_file import TuningFile, TuningStore
+from kffa_offboard.config_tuning_file import TuningFile
 from kffa_offboard.control.controllers import ControllerName, ControllerParameters
 from kffa_offboard.control.design import design
 from kffa_offboard.errors import UserError
@@ -35,7 +35,7 @@ from kffa_offboard.offboard.settings import (
     ServiceSettings,
     TelemetrySettings,
 )
-from kffa_offboard.offboard.tuning import TuningProblem
+from kffa_offboard.offboard.tuning import TuningProblem, TuningStore
 from kffa_offboard.process.realtime import RealtimeSettings
 
 Record = TypeVar("Record", TelemetrySettings, LimitSettings, SequenceSettings, FlightSettings)

@@ -17,10 +17,10 @@ from pydantic import BaseModel, ValidationError
 
 from kffa_offboard.config_errors import explain
 from kffa_offboard.config_tables import ConfigFile
-from kffa_offboard.config_tuning_file import Key, TuningStore, as_toml, read_values
+from kffa_offboard.config_tuning_file import Key, as_toml, read_values
 from kffa_offboard.config_units import quantity_of
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.tuning import Tunable, TuningProblem
+from kffa_offboard.offboard.tuning import Tunable, TuningProblem, TuningStore
 
 Build: TypeAlias = Callable[[ConfigFile], ServiceSettings]
 """From checked tables to settings; ValueError if they do not fit each other."""

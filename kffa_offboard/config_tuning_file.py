@@ -6,29 +6,15 @@ import os
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any, Protocol, TypeAlias
+from typing import Any, TypeAlias
 
-from kffa_offboard.offboard.tuning import TuningProblem
+from kffa_offboard.offboard.tuning import TuningProblem, TuningStore
 
 Key: TypeAlias = tuple[str, ...]
 """Where a number stands in a file: its tables and its key."""
 
 MOST = 10**15
 """Whole numbers beyond it are no parameter, and some have no float."""
-
-
-class TuningStore(Protocol):
-    """Text that is kept under a file's name."""
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-
-    def read(self) -> str | None:
-        """What is stored, None if nothing is. Raises TuningProblem if it cannot be read."""
-
-    def write(self, text: str) -> None:
-        """Store `text` in place of what was there. Raises TuningProblem if it cannot be written."""
 
 
 class TuningFile:

@@ -7,6 +7,7 @@ vocabulary between it and MAVLink, and how the service goes on with other settin
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
 
 from kffa_offboard.control.retuning import retuned
@@ -27,6 +28,20 @@ class Tunable:
 
 class TuningProblem(ValueError):
     """Why a value cannot be taken, or a file not read or written; one line."""
+
+
+class TuningStore(Protocol):
+    """Text that is kept under a file's name."""
+
+    @property
+    def path(self) -> Path:
+        """The file."""
+
+    def read(self) -> str | None:
+        """What is stored, None if nothing is. Raises TuningProblem if it cannot be read."""
+
+    def write(self, text: str) -> None:
+        """Store `text` in place of what was there. Raises TuningProblem if it cannot be written."""
 
 
 class Tuning(Protocol):

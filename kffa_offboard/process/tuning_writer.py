@@ -6,29 +6,14 @@ import os
 import queue
 import threading
 from pathlib import Path
-from typing import Protocol
 
-from kffa_offboard.offboard.tuning import TuningProblem
-
-
-class Store(Protocol):
-    """What is written to; see `config_tuning_file.TuningStore`."""
-
-    @property
-    def path(self) -> Path:
-        """The file."""
-
-    def read(self) -> str | None:
-        """What is stored."""
-
-    def write(self, text: str) -> None:
-        """Store `text`."""
+from kffa_offboard.offboard.tuning import TuningProblem, TuningStore
 
 
 class TuningWriter:
     """Stands in front of a store; what is on its way to the disk is read as if it were there."""
 
-    def __init__(self, store: Store) -> None:
+    def __init__(self, store: TuningStore) -> None:
         self._store = store
         self._text: str | None = None
         self._trouble: str | None = None
