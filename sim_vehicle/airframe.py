@@ -15,11 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 
 from sim_vehicle import dynamics, payload
-from sim_vehicle.environment import CALM, EnvironmentInputs, Ground, Touching, touch_ground
+from sim_vehicle.environment import CALM, NOTHING, EnvironmentInputs, Ground, Touching, touch_ground
 from sim_vehicle.frames import Array, Row, array_of, at_least, at_most, rows_of, wrap_angle
 from sim_vehicle.proximity import Proximity, thrust_ratio, touch_ceiling
 
@@ -314,6 +315,8 @@ def step(
 
 def _force(environment: EnvironmentInputs, properties: dynamics.MassProperties) -> Array:
     """Disturbance force (3[, N]) [N] through the centre of mass."""
+    if environment.acceleration is NOTHING:
+        return environment.force
     accelerations = rows_of(environment.acceleration)
     rows = [f + properties.mass * a for f, a in zip(rows_of(environment.force), accelerations, strict=True)]
     return array_of(rows)
@@ -344,11 +347,15 @@ class Measurement:
     body_rates: Array
 
 
+@lru_cache(maxsize=64)
+def _deviations(noise: SensorNoise) -> Array:
+    """Standard deviations (12,) of the rows of `AirframeState.rigid`."""
+    h, v = noise.horizontal_position, noise.horizontal_velocity
+    deviations = [h, h, noise.altitude, v, v, noise.climb_rate, *3 * [noise.attitude], *3 * [noise.body_rate]]
+    return np.array(deviations)
+
+
 def measure(noise: SensorNoise, state: AirframeState, generator: np.random.Generator) -> Measurement:
     """State with sensor noise; angles in [-pi, pi). Draws 12[ x N] numbers from `generator`."""
-    h, v = noise.horizontal_position, noise.horizontal_velocity
-    sigma = np.array(
-        [h, h, noise.altitude, v, v, noise.climb_rate, *3 * [noise.attitude], *3 * [noise.body_rate]]
-    )
-    noisy = state.rigid + (sigma * generator.standard_normal(state.rigid.shape).T).T
+    noisy = state.rigid + (_deviations(noise) * generator.standard_normal(state.rigid.shape).T).T
     return Measurement(noisy[0:3], noisy[3:6], wrap_angle(noisy[6:9]), noisy[9:12])

@@ -29,7 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Literal, TypeAlias
+from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -77,8 +77,7 @@ class MassProperties:
     products_of_inertia: Array = field(default_factory=_no_vector)
 
 
-@dataclass(frozen=True, slots=True)
-class _Terms:
+class _Terms(NamedTuple):
     """Everything that stays constant during one integration step, split into rows."""
 
     wrench: list[Row]

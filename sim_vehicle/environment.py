@@ -21,10 +21,13 @@ Vector3: TypeAlias = tuple[float, float, float]
 Touching: TypeAlias = bool | NDArray[np.bool_]
 
 
+NOTHING: Array = np.zeros(3)
+"""No wind, no force: one read-only array (3,) that everything calm shares."""
+NOTHING.flags.writeable = False
+
+
 def _no_vector() -> Array:
-    vector = np.zeros(3)
-    vector.flags.writeable = False  # CALM is shared
-    return vector
+    return NOTHING
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +177,7 @@ def touch_ground(
     """
     rows = rows_of(rigid)
     touching: Touching = rows[2] <= 0.0
-    if not np.any(touching):
+    if not (touching if isinstance(touching, bool) else touching.any()):
         return rigid, 0.0 * rows[2], touching
     fall = at_least(-rows[5], 0.0)
     held = _held(ground, rows, mass_properties, fall, dt)

@@ -110,9 +110,10 @@ def rows_of(array: Array) -> list[Row]:
 
 def array_of(rows: Sequence[Row]) -> Array:
     """Inverse of `rows_of`; floats among arrays are spread over the batch."""
-    if all(isinstance(row, float) for row in rows):
-        return np.array(rows, dtype=np.float64)
-    return np.stack(np.broadcast_arrays(*rows))
+    for row in rows:
+        if not isinstance(row, float):
+            return np.stack(np.broadcast_arrays(*rows))
+    return np.array(rows, dtype=np.float64)
 
 
 def sine_cosine(angle: Row) -> tuple[Row, Row]:

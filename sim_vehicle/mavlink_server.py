@@ -138,11 +138,14 @@ class MavlinkServer:
     def emit(self, estimate: Estimate) -> list[tuple[Hashable | None, bytes]]:
         """Everything to be sent at the time of `estimate`, as datagrams per peer."""
         self.time_us, self.estimate = estimate.time_us, estimate
+        self._send_texts()
+        busy = [peer for peer in self.peers.values() if peer.has_work(estimate.time_us)]
+        if not busy:
+            return []
         sample = telemetry.Sample(self.firmware, estimate)
         built: dict[int, Message | None] = {}
-        self._send_texts()
         datagrams: list[tuple[Hashable | None, bytes]] = []
-        for peer in self.peers.values():
+        for peer in busy:
             slowdown = PARAMETER_SLOWDOWN if peer.parameter_queue and not self.px4 else 1
             for message_id in peer.due_messages(estimate.time_us, slowdown):
                 if message_id not in built:

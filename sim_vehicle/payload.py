@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 from typing import Literal, TypeAlias
 
@@ -76,6 +77,14 @@ def mass_properties(
     ValueError
         if a load is negative, not finite or above `LOAD_LIMIT`
     """
+    if isinstance(load_mass, float):
+        return _one_body(vehicle, load_mass, load_offset, load_size, profile)
+    return _joint_body(vehicle, load_mass, load_offset, load_size, profile)
+
+
+def _joint_body(
+    vehicle: VehicleBody, load_mass: Row, load_offset: Vector3, load_size: Vector3, profile: Profile
+) -> MassProperties:
     check_load_mass(load_mass)
     mass = vehicle.mass + load_mass
     share = load_mass / mass
@@ -88,6 +97,17 @@ def mass_properties(
     inertia = _joint_inertia(vehicle.inertia, reduced, load_mass, load_offset, load_size)
     products = array_of((-reduced * x * y, -reduced * x * z, -reduced * y * z))
     return MassProperties(mass, inertia, vehicle.arm_length, center, products)
+
+
+@lru_cache(maxsize=64)
+def _one_body(
+    vehicle: VehicleBody, load_mass: float, load_offset: Vector3, load_size: Vector3, profile: Profile
+) -> MassProperties:
+    """The same for one vehicle: its load changes a few times in a flight, not in every step."""
+    properties = _joint_body(vehicle, load_mass, load_offset, load_size, profile)
+    for shared in (properties.inertia, properties.center_of_mass, properties.products_of_inertia):
+        shared.flags.writeable = False
+    return properties
 
 
 def _joint_inertia(inertia: Vector3, reduced: Row, load_mass: Row, offset: Vector3, size: Vector3) -> Array:

@@ -89,6 +89,10 @@ class Peer:
         rate = self.defaults.get(message_id, 0.0)
         self.set_interval(message_id, stream_rates.interval_of(rate) if rate > 0.0 else 0, now_us)
 
+    def has_work(self, now_us: int) -> bool:
+        """Something is due, queued or half sent."""
+        return now_us >= self._next_us or bool(self._frames) or bool(self.parameter_queue)
+
     def due_messages(self, now_us: int, slowdown: int) -> list[int]:
         """Ids of the streams that are due, in a fixed order."""
         if now_us < self._next_us:
