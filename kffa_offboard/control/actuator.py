@@ -42,7 +42,8 @@ class ActuatorState(NamedTuple):
     Attributes
     ----------
     ages : tuple of float, s
-        How long ago each queued command was sent, oldest first; the last one is the newest.
+        How long ago each queued command was sent, oldest first; the last one is the newest. Below zero: sent
+        since the state was made.
     commands : (K, 4[, N]), one for each age
     lagged : (4[, N])
         Output of the first-order lag.
@@ -58,12 +59,12 @@ def initial_state(command: Array) -> ActuatorState:
     return ActuatorState((np.inf,), command[None], command)
 
 
-def send(state: ActuatorState, command: Array) -> ActuatorState:
-    """Put a command in the queue at this moment; one sent at the same moment is replaced."""
+def send(state: ActuatorState, command: Array, after: float = 0.0) -> ActuatorState:
+    """Put a command in the queue `after` s from this moment; one of that moment or later is replaced."""
     ages, kept = state.ages, state.commands
-    if ages[-1] == 0.0:
+    while ages[-1] <= -after:
         ages, kept = ages[:-1], kept[:-1]
-    return ActuatorState((*ages, 0.0), np.concatenate((kept, command[None])), state.lagged)
+    return ActuatorState((*ages, -after), np.concatenate((kept, command[None])), state.lagged)
 
 
 NOW = np.zeros(())

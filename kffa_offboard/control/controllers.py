@@ -90,16 +90,19 @@ def align_reference(parameters: ControllerParameters, state: ControllerState) ->
     return aligned._replace(pid=state.pid._replace(integral=np.where(needs, integral, 0.0)))
 
 
-def with_applied(parameters: ControllerParameters, state: ControllerState, command: Array) -> ControllerState:
-    """Tell the observer which command ``(4[, N])`` really goes out from now on.
+def with_applied(
+    parameters: ControllerParameters, state: ControllerState, command: Array, after: float = 0.0
+) -> ControllerState:
+    """Tell the observer which command ``(4[, N])`` really goes out from now on, or from `after` s on.
 
     For a guard that changed the command after `step`, and for shadow flight, where the autopilot's own
-    command acts. It replaces the one that `step` noted.
+    command acts: it replaces the one that `step` noted. With `after`, s since the step, that one acted until
+    then.
     """
     return ControllerState(
         state.differentiator,
         state.observer,
-        actuator.send(state.actuator, command),
+        actuator.send(state.actuator, command, after),
         state.pid,
         state.kalman,
         state.expected,

@@ -77,9 +77,9 @@ class LoopState(NamedTuple):
         """Another controller state."""
         return self._replace(controller=controller)
 
-    def resent(self, time_us: int) -> LoopState:
-        """The last setpoint was repeated at `time_us`."""
-        return self._replace(sent_us=time_us)
+    def resent(self, target: AttitudeTarget, time_us: int) -> LoopState:
+        """A setpoint went out at `time_us` without a control step."""
+        return self._replace(sent=target, sent_us=time_us)
 
 
 class Order(NamedTuple):

@@ -28,6 +28,7 @@ from kffa_offboard.control import Array
 from kffa_offboard.offboard import admission, events, telemetry, trust
 from kffa_offboard.offboard.control_session import ControlSession
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.farewell import fly_blind
 from kffa_offboard.offboard.flight import Phase
 from kffa_offboard.offboard.horizontal import astray, position_jump
 from kffa_offboard.offboard.loop import begin_loop
@@ -35,6 +36,7 @@ from kffa_offboard.offboard.sequence import (
     accept_retry,
     engagement_due,
     microseconds,
+    mode_granted,
     retry_due,
 )
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -189,10 +191,14 @@ class Service(ControlSession):
         )
 
     def _resend(self, time_us: int) -> None:
-        """Repeat the last setpoint, so that PX4 sees at least 2 Hz while telemetry is slow."""
-        assert self._loop is not None and self._loop.sent is not None
-        self._emit(self._loop.sent)
-        self._loop = self._loop.resent(time_us)
+        """Something is to be heard while no telemetry comes: PX4 wants 2 Hz."""
+        assert self._loop is not None
+        engagement = self._engagement
+        acting = engagement is None or engagement.grounded or mode_granted(engagement)
+        self._loop, target = fly_blind(
+            self.settings, self._loop, self._flight, self._known, time_us, acting=acting
+        )
+        self._emit(target)
 
     # --------------------------------------------------------------------------- events
 

@@ -62,6 +62,26 @@ def test_commands_that_have_had_their_effect_are_forgotten() -> None:
     assert len(state.commands) <= 7
 
 
+def test_a_command_between_two_steps_takes_over_from_the_last_one_when_it_is_sent() -> None:
+    state = actuator.send(actuator.initial_state(np.zeros(1)), np.ones(1))
+    state = actuator.send(state, np.full(1, -1.0), after=0.02)
+    state, mean = actuator.step(parameters(0.01), state, 0.05)
+    assert mean[0] == pytest.approx((0.01 * 0.0 + 0.02 * 1.0 + 0.02 * -1.0) / 0.05)
+    state, mean = actuator.step(parameters(0.01), state, 0.05)
+    assert mean[0] == pytest.approx(-1.0)
+
+
+def test_a_command_supersedes_what_was_sent_later_than_its_own_moment() -> None:
+    """Samples that were taken before the command between two steps, but come after it."""
+    state = actuator.send(actuator.initial_state(np.zeros(1)), np.ones(1))
+    state = actuator.send(state, np.full(1, -1.0), after=0.02)
+    state, mean = actuator.step(parameters(0.0), state, 0.01)
+    assert mean[0] == pytest.approx(1.0)
+    state = actuator.send(state, np.full(1, 0.5))
+    state, mean = actuator.step(parameters(0.0), state, 0.05)
+    assert mean[0] == pytest.approx(0.5)
+
+
 def test_a_command_sent_again_at_the_same_moment_replaces_the_first() -> None:
     state = actuator.send(actuator.initial_state(np.zeros(1)), np.ones(1))
     state = actuator.send(state, np.full(1, 0.5))

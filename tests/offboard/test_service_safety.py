@@ -381,7 +381,60 @@ def test_an_autopilot_that_restarts_is_observed_anew(fake):
 # ----------------------------------------------------------------------------- deadlines
 
 
-def test_the_last_setpoint_is_repeated_while_telemetry_is_slow(fake):
+def blind(fake, output="rates", **vehicle):
+    """Turning in the air when telemetry falls silent, which it may for 2 s."""
+    settings = fake.settings(output)
+    silent = replace(settings.telemetry, timeout_s=2.0, position_timeout_s=2.0)
+    flight = hovering(fake, output=output, controller=settings.controller, telemetry=silent)
+    flight.vehicle.attitude[:] = 0.1, -0.05, 0.1
+    flight.run(0.1)  # rates are asked for that take this back
+    flight.mute = {events.AttitudeReceived, events.PositionReceived}
+    flight.log.clear()
+    return flight
+
+
+@pytest.mark.parametrize("output", ["rates", "attitude"])
+def test_a_vehicle_that_cannot_be_seen_is_told_to_be_level(fake, output):
+    flight = blind(fake, output)
+    before = flight.vehicle.attitude.copy()
+    flight.run(1.9)
+    assert flight.service.state is State.ENGAGED
+    assert {(t.body_rates, t.attitude[:2]) for _, t in flight.sent(AttitudeTarget)} == {(None, (0.0, 0.0))}
+    assert np.abs(flight.vehicle.attitude[:2]).max() < 0.01
+    assert abs(flight.vehicle.attitude[2] - before[2]) < 0.1  # no turning on
+    assert abs(flight.vehicle.velocity) < 0.3
+
+
+@pytest.mark.parametrize(("output", "tilt"), [("rates", 0.015), ("attitude", 0.03)])
+def test_control_goes_on_from_there_when_telemetry_is_back(fake, output, tilt):
+    """The observer knows that what it had asked for did not act all that time; else it is 0.032 and 0.031."""
+    flight = blind(fake, output)
+    flight.run(0.7)
+    flight.mute = set()
+    seen = []
+    for _ in range(100):
+        flight.run(0.01)
+        seen.append(np.abs(flight.vehicle.attitude[:2]).max())
+    assert max(seen) < tilt
+    assert flight.service.state is State.ENGAGED
+
+
+def test_on_the_ground_the_last_setpoint_is_repeated(fake):
+    settings = fake.settings()
+    silent = replace(settings.telemetry, timeout_s=2.0)
+    flight = fake.Lockstep(fake.settings(telemetry=silent))
+    flight.run_to(State.ENGAGING)
+    flight.run(0.3)
+    flight.mute = {events.AttitudeReceived}
+    last = flight.sent(AttitudeTarget)[-1][1]
+    flight.log.clear()
+    flight.run(0.7)
+    sent = flight.sent(AttitudeTarget)
+    assert len(sent) == 3 and {target for _, target in sent} == {last}
+    assert last.thrust == 0.0
+
+
+def test_something_is_heard_at_5_hz_while_telemetry_is_silent(fake):
     settings = fake.settings()
     slow = replace(settings.telemetry, timeout_s=0.8)
     flight = hovering(fake, telemetry=slow)
