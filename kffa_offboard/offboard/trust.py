@@ -37,6 +37,10 @@ rate that is wrong by e shows as e times the memory."""
 QUICK_ANGLE_MEMORY_S = 0.2
 QUICK_ANGLE_MISMATCH_RAD = 0.2
 QUICK_ANGLE_RATE_RAD_S, QUICK_ANGLE_STEP_RAD = 6.0, 0.1
+ANGLE_STEP_RAD, ANGLE_STEP_RATE_RAD_S = 0.17, 1.0
+"""What an attitude may differ from its integrated rates in one sample: an estimator sets its angle anew, and
+what a rate does between two samples. A vehicle with a load overshoots such a step by two thirds."""
+
 QUICK_HEIGHT_MEMORY_S = 0.3
 QUICK_HEIGHT_MISMATCH_M = 0.3
 QUICK_HEIGHT_RATE_M_S, QUICK_HEIGHT_STEP_M = 6.0, 0.2
@@ -126,13 +130,13 @@ def watch_attitude(
     before = trust.attitude
     delay, fault = _follow_delay(settings, before.delay, time_us, event.sample_time_us)
     still = _stand_still(before.still, (*event.attitude, *event.body_rates), time_us)
-    slow, quick = _angle_mismatch(before, event)
+    slow, quick, stepped = _angle_mismatch(before, event)
     trust = Trust(AttitudeTrust(event, still, delay, slow, quick), trust.position)
     if fault is not None:
         return trust, fault
     if flying and time_us - still.since_us > microseconds(settings.frozen_time_s):
         return trust, f"attitude stands still for {settings.frozen_time_s:g} s"
-    if hypot(*slow) > ANGLE_MISMATCH_RAD or hypot(*quick) > QUICK_ANGLE_MISMATCH_RAD:
+    if stepped or hypot(*slow) > ANGLE_MISMATCH_RAD or hypot(*quick) > QUICK_ANGLE_MISMATCH_RAD:
         return trust, "body rates do not fit the attitude"
     return trust, None
 
@@ -207,11 +211,11 @@ def _euler_rates(event: AttitudeReceived) -> tuple[float, float]:
 
 def _angle_mismatch(
     before: AttitudeTrust, event: AttitudeReceived
-) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Slow and quick, of roll and pitch."""
+) -> tuple[tuple[float, float], tuple[float, float], bool]:
+    """Slow and quick, of roll and pitch, and whether this sample alone is too far off."""
     last = before.last
     if last is None or max(_tilt(last.attitude), _tilt(event.attitude)) > _STEEPEST_RAD:
-        return (0.0, 0.0), (0.0, 0.0)
+        return (0.0, 0.0), (0.0, 0.0), False
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
     then, now = _euler_rates(last), _euler_rates(event)
     roll = event.attitude[0] - last.attitude[0] - 0.5 * dt * (then[0] + now[0])
@@ -222,6 +226,7 @@ def _angle_mismatch(
     return (
         (keep * slow[0] + roll, keep * slow[1] + pitch),
         (keep_quick * quick[0] + _bounded(roll, most), keep_quick * quick[1] + _bounded(pitch, most)),
+        hypot(roll, pitch) > ANGLE_STEP_RAD + ANGLE_STEP_RATE_RAD_S * dt,
     )
 
 

@@ -6,10 +6,9 @@ towards the vehicle, and two things that happen to the vehicle. What is judged i
 """
 
 from math import inf, nan
+from random import Random
 
 import pytest
-from hypothesis import HealthCheck, Phase, given, seed, settings
-from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.faults.faults import (
@@ -29,21 +28,21 @@ from sim_vehicle.swing import Rope
 
 SAMPLES = ("ATTITUDE", "LOCAL_POSITION_NED")
 GROUPS = 16
+PERSONALITIES = ["px4", "ardupilot"]
 SECONDS = 1.3
 FAR, STEEP = 2.0, 0.3  # m, rad: how far a vehicle that is sound may get while control is kept
 
-kinds = st.sampled_from(
-    [(), ("ATTITUDE",), ("LOCAL_POSITION_NED",), SAMPLES, ("HEARTBEAT",), ("COMMAND_ACK",), ("TIMESYNC",)]
-)
-starts = st.sampled_from([0.0, 0.1, 0.3, 0.5])
-durations = st.sampled_from([0.02, 0.1, 0.3, 0.6, inf])
-shares = st.sampled_from([0.02, 0.1, 0.3, 0.7, 1.0])
-bad = st.sampled_from([nan, inf, -inf, 1e30, -1e30, 3.0, -0.4, 100.0])
-fields = st.one_of(
-    st.tuples(st.just("ATTITUDE"), st.sampled_from(["roll", "pitch", "yaw", "rollspeed", "yawspeed"])),
-    st.tuples(st.just("LOCAL_POSITION_NED"), st.sampled_from(["x", "z", "vx", "vz"])),
-    st.tuples(st.just("ATTITUDE_TARGET"), st.sampled_from(["thrust", "body_roll_rate"])),
-)
+KINDS = [(), ("ATTITUDE",), ("LOCAL_POSITION_NED",), SAMPLES, ("HEARTBEAT",), ("COMMAND_ACK",), ("TIMESYNC",)]
+STARTS = [0.0, 0.1, 0.3, 0.5]
+DURATIONS = [0.02, 0.1, 0.3, 0.6, inf]
+SHARES = [0.02, 0.1, 0.3, 0.7, 1.0]
+BAD = [nan, inf, -inf, 1e30, -1e30, 3.0, -0.4, 100.0]
+FIELDS = [
+    *(("ATTITUDE", name) for name in ("roll", "pitch", "yaw", "rollspeed", "yawspeed")),
+    *(("LOCAL_POSITION_NED", name) for name in ("x", "z", "vx", "vz")),
+    *(("ATTITUDE_TARGET", name) for name in ("thrust", "body_roll_rate")),
+]
+FAULTS = ["lose", "delay", "copy", "flip", "thin", "freeze", "clock", "write", "jump", "flood"]
 
 
 def frames(system, *messages):
@@ -56,38 +55,36 @@ needless = frames(1, mavlink.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 
 old = frames(1, mavlink.MAVLink_attitude_message(100, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
 
-@st.composite
-def faults(draw):
-    common = {"start_s": draw(starts), "duration_s": draw(durations), "share": draw(shares)}
-    when = {key: common[key] for key in ("start_s", "duration_s")}
-    match draw(
-        st.sampled_from(
-            ["lose", "delay", "copy", "flip", "thin", "freeze", "clock", "write", "jump", "flood"]
-        )
-    ):
+def fault(draw):
+    when = {"start_s": draw.choice(STARTS), "duration_s": draw.choice(DURATIONS)}
+    common = {**when, "share": draw.choice(SHARES)}
+    message, name = draw.choice(FIELDS)
+    match draw.choice(FAULTS):
         case "lose":
-            return Lose(**common, messages=draw(kinds))
+            return Lose(**common, messages=draw.choice(KINDS))
         case "delay":
-            late, jitter = draw(st.sampled_from([0.02, 0.06, 0.1, 0.3])), draw(st.sampled_from([0.0, 0.1]))
-            return Delay(**common, messages=draw(kinds), delay_s=late, jitter_s=jitter)
+            late, jitter = draw.choice([0.02, 0.06, 0.1, 0.3]), draw.choice([0.0, 0.1])
+            return Delay(**common, messages=draw.choice(KINDS), delay_s=late, jitter_s=jitter)
         case "copy":
             return Duplicate(**common, copies=3)
         case "flip":
-            return Corrupt(**common, bits=draw(st.integers(1, 20)))
+            return Corrupt(**common, bits=draw.randint(1, 20))
         case "thin":
-            return Thin(**when, messages=SAMPLES, keep_every=draw(st.integers(2, 20)))
+            return Thin(**when, messages=SAMPLES, keep_every=draw.randint(2, 20))
         case "freeze":
-            return Freeze(**common, messages=draw(kinds))
+            return Freeze(**common, messages=draw.choice(KINDS))
         case "clock":
-            return ShiftClock(**common, offset_s=draw(st.sampled_from([-3.0, -0.1, 0.1, 0.3, 3.0])))
+            return ShiftClock(**common, offset_s=draw.choice([-3.0, -0.1, 0.1, 0.3, 3.0]))
         case "write":
-            message, name = draw(fields)
-            return Overwrite(**common, messages=(message,), values={name: draw(bad)})
+            return Overwrite(**common, messages=(message,), values={name: draw.choice(BAD)})
         case "flood":
-            return Flood(**when, rate_hz=2000.0, frames=draw(st.sampled_from([foreign, needless, old])))
+            return Flood(**when, rate_hz=2000.0, frames=draw.choice([foreign, needless, old]))
         case _:
-            message, name = draw(fields)
-            return Offset(**common, messages=(message,), values={name: draw(st.floats(-2.0, 2.0))})
+            return Offset(**common, messages=(message,), values={name: draw.uniform(-2.0, 2.0) ** 3 / 4.0})
+
+
+def some(draw, most):
+    return tuple(fault(draw) for _ in range(draw.randint(0, most)))
 
 
 def breaking(kind, **numbers):
@@ -126,57 +123,39 @@ OTHERS = {
     "mode": change_mode,
     "disarm": lambda vehicle: vehicle.firmware.disarm(True),
 }
-happenings = st.dictionaries(starts, st.sampled_from([*SOUND, *OTHERS]), max_size=2)
-personalities = st.sampled_from(["px4", "ardupilot"])
-loads = st.sampled_from([0.0, 5.0])
-down_faults, up_faults = st.lists(faults(), max_size=3), st.lists(faults(), max_size=1)
 
 
-def judge(flight, what):
-    assert flight.violations == []
+def judge(flight, what, mixture):
+    assert flight.violations == [], mixture
     if not set(what) & set(OTHERS):
-        assert all(flight.tilts[k] < STEEP for k in flight.held)
-        assert all(abs(flight.heights[k] - 5.0) < FAR for k in flight.held)
+        assert all(flight.tilts[k] < STEEP for k in flight.held), mixture
+        assert all(abs(flight.heights[k] - 5.0) < FAR for k in flight.held), mixture
     if flight.released_s is not None:
-        assert any(text.startswith(("failsafe: ", "control given up: ")) for text in flight.texts)
-    assert len(flight.service._known.attitude_stream.arrivals) <= 1000
+        assert any(text.startswith(("failsafe: ", "control given up: ")) for text in flight.texts), mixture
+    assert len(flight.service._known.attitude_stream.arrivals) <= 1000, mixture
 
 
-def budget(number, examples):
-    """Seeded: the same flights every time."""
-    chosen = settings(
-        max_examples=examples,
-        deadline=None,
-        database=None,
-        suppress_health_check=list(HealthCheck),
-        phases=(
-            Phase.generate,
-        ),  # a failing flight is reported as it was found: making it smaller takes long
-    )
-    return lambda test: seed(number)(chosen(test))
-
-
-def fly_mixtures(settled_flight, number, examples):
-    @budget(number, examples)
-    @given(personalities, loads, down_faults, up_faults, happenings)
-    def mixtures(personality, load, down, up, what):
+def fly_mixtures(settled_flight, number, flights):
+    """Seeded: the same flights every time, whatever else is tested."""
+    draw = Random(number)
+    for _ in range(flights):
+        personality, load = draw.choice(PERSONALITIES), draw.choice([0.0, 5.0])
+        down, up = some(draw, 3), some(draw, 1)
+        what = {draw.choice(STARTS): draw.choice([*SOUND, *OTHERS]) for _ in range(draw.randint(0, 2))}
         acts = {at: {**SOUND, **OTHERS}[name] for at, name in what.items()}
-        flight = settled_flight(personality, load).fly_on(SECONDS, tuple(down), tuple(up), acts)
-        judge(flight, what.values())
-
-    mixtures()
+        flight = settled_flight(personality, load).fly_on(SECONDS, down, up, acts)
+        judge(flight, what.values(), (personality, load, down, up, what))
 
 
-def fly_from_the_start(fault_flight, number, examples):
-    @budget(number, examples)
-    @given(personalities, down_faults, up_faults)
-    def mixtures(personality, down, up):
-        for fault in (*down, *up):
-            fault.start_s *= 4.0  # also before engaging and while it goes on
-        flight = fault_flight(personality, down=tuple(down), up=tuple(up), seconds=2.4, settle_s=0.2).fly()
-        judge(flight, ())
-
-    mixtures()
+def fly_from_the_start(fault_flight, number, flights):
+    """The same, also before engaging and while it goes on."""
+    draw = Random(number)
+    for _ in range(flights):
+        personality, down, up = draw.choice(PERSONALITIES), some(draw, 3), some(draw, 1)
+        for each in (*down, *up):
+            each.start_s *= 4.0
+        flight = fault_flight(personality, down=down, up=up, seconds=2.4, settle_s=0.2).fly()
+        judge(flight, (), (personality, down, up))
 
 
 @pytest.mark.timeout(300)

@@ -128,6 +128,13 @@ def test_a_swing_of_20_degrees_at_4_rad_s_fits_its_body_rates(rate_hz):
     assert watch_angles(samples) == []
 
 
+@pytest.mark.parametrize(("rate_hz", "step"), [(250, 0.19), (100, 0.2), (50, 0.2), (10, 0.3)])
+def test_an_attitude_that_is_set_anew_by_more_is_noticed_in_that_sample(rate_hz, step):
+    samples = [(t, 0.0, 0.0 if t < 1.0 else -step, (0.0, 0.0, 0.0)) for t in times(rate_hz, 2.0)]
+    first = min(t for t, _, pitch, _ in samples if pitch)
+    assert watch_angles(samples)[0] == (first, "body rates do not fit the attitude")
+
+
 @RATES
 @pytest.mark.parametrize("error", [-3.0, 1.5, 6.0])
 def test_a_single_wrong_climb_rate_is_no_fault(rate_hz, error):
