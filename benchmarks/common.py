@@ -9,6 +9,7 @@ import platform
 import random
 import select
 import socket
+import struct
 import time
 from importlib.metadata import version
 from pathlib import Path
@@ -19,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 RESULTS = Path(__file__).parent / "results.json"
+SO_TIMESTAMPNS = 35  # Linux: the kernel says when a datagram arrived
 OFFBOARD = 6 << 16  # PX4's custom_mode
 POSITION = 3 << 16
 
@@ -59,6 +61,9 @@ class Probe:
 
     Its sensors are a little noisy: telemetry that repeats itself to the last bit is what a dead sensor
     sends, and forbids engaging.
+
+    `arrived_ns` is when the last datagram that was heard had arrived, by the kernel's clock: what this
+    process takes to wake up is not in it.
     """
 
     def __init__(self, port: int) -> None:
@@ -66,6 +71,8 @@ class Probe:
         self._socket.bind(("127.0.0.1", 0))
         self._socket.connect(("127.0.0.1", port))
         self._socket.setblocking(False)
+        self._socket.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
+        self.arrived_ns = 0
         self._mav = mavlink.MAVLink(None, srcSystem=1, srcComponent=1)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
@@ -81,12 +88,14 @@ class Probe:
         """Release the port."""
         self._socket.close()
 
-    def send(self, message: Any) -> None:
-        """One datagram; nobody listening yet is no error."""
+    def send(self, message: Any) -> int:
+        """One datagram, and when it was handed over, ns; nobody listening yet is no error."""
         frame = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) % 256
+        sent_ns = time.time_ns()
         with contextlib.suppress(ConnectionRefusedError):
             self._socket.send(frame)
+        return sent_ns
 
     def heartbeat(self) -> None:
         """Armed, in the air."""
@@ -102,9 +111,9 @@ class Probe:
     def _boot_ms(self) -> int:
         return int((time.perf_counter() - self._began) * 1e3) + 1000
 
-    def attitude(self) -> None:
-        """Level."""
-        self.send(mavlink.MAVLink_attitude_message(self._boot_ms(), *self._noise(6, 1e-4)))
+    def attitude(self) -> int:
+        """Level; when it was handed over, ns."""
+        return self.send(mavlink.MAVLink_attitude_message(self._boot_ms(), *self._noise(6, 1e-4)))
 
     def position(self) -> None:
         """5 m above the origin."""
@@ -119,9 +128,11 @@ class Probe:
         if not select.select([self._socket], [], [], max(0.0, timeout_s))[0]:
             return []
         try:
-            frame = self._socket.recv(65535)
+            frame, ((_, _, stamp),), _, _ = self._socket.recvmsg(65535, socket.CMSG_SPACE(16))
         except ConnectionRefusedError:
             return []
+        seconds, rest_ns = struct.unpack("qq", stamp)
+        self.arrived_ns = seconds * 1_000_000_000 + rest_ns
         names = []
         for message in self._parser.parse_buffer(frame) or []:
             names.append(message.get_type())
@@ -133,8 +144,12 @@ class Probe:
         return names
 
     def round_trips(self, rate_hz: float, duration_s: float) -> tuple[list[float], int]:
-        """Time from every ATTITUDE to the SET_ATTITUDE_TARGET that answers it, s; and how many had none."""
-        period, trips, missed = 1.0 / rate_hz, [], 0
+        """From handing over every ATTITUDE to the arrival of the SET_ATTITUDE_TARGET that answers it, s.
+
+        Then how many had none.
+        """
+        trips: list[float] = []
+        period, missed = 1.0 / rate_hz, 0
         for number in range(round(duration_s * rate_hz)):
             began = time.perf_counter()
             if number % round(rate_hz / 5.0) == 0:
@@ -142,14 +157,13 @@ class Probe:
             self.position()
             while (left := began + period / 2 - time.perf_counter()) > 0.0:
                 self.hear(left)  # whatever else the other side says
-            sent = time.perf_counter()
-            self.attitude()
+            sent_ns = self.attitude()
             # Until it answers at all, the rate must be kept; a late answer is waited for.
-            end, answered = sent + (5.0 if trips else 0.4) * period, False
+            end, answered = time.perf_counter() + (5.0 if trips else 0.4) * period, False
             while not answered and (left := end - time.perf_counter()) > 0.0:
                 answered = "SET_ATTITUDE_TARGET" in self.hear(left)
             if answered:
-                trips.append(time.perf_counter() - sent)
+                trips.append((self.arrived_ns - sent_ns) * 1e-9)
             else:
                 missed += 1
             time.sleep(max(0.0, began + period - time.perf_counter()))

@@ -23,7 +23,7 @@ def round_trips(probes: list[Probe], duration_s: float) -> tuple[list[list[float
     """Times of each vehicle, s, and how many ATTITUDE had no answer before the next; evenly spread."""
     slot_s = 1.0 / RATE_HZ / len(probes)
     trips: list[list[float]] = [[] for _ in probes]
-    asked: dict[int, float] = {}
+    asked: dict[int, int] = {}
     missed, began = 0, time.perf_counter()
     for number in range(round(duration_s / slot_s)):
         k = number % len(probes)
@@ -31,14 +31,13 @@ def round_trips(probes: list[Probe], duration_s: float) -> tuple[list[list[float
             probes[k].heartbeat()
         probes[(k + len(probes) // 2) % len(probes)].position()
         missed += k in asked
-        asked[k] = time.perf_counter()
-        probes[k].attitude()
+        asked[k] = probes[k].attitude()
         end = began + (number + 1) * slot_s
         while (left := end - time.perf_counter()) > 0.0:
             for probe in select.select(probes, [], [], left)[0]:
                 which = probes.index(probe)
                 if "SET_ATTITUDE_TARGET" in probe.hear(0.0) and which in asked:
-                    trips[which].append(time.perf_counter() - asked.pop(which))
+                    trips[which].append((probe.arrived_ns - asked.pop(which)) * 1e-9)
     return trips, missed
 
 

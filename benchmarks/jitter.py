@@ -1,7 +1,7 @@
 """Setpoints on a busy machine: 250 Hz for a minute with all cores loaded, with and without --realtime.
 
-Times are from sending ATTITUDE to receiving the setpoint, so they include the probe's own waiting; where that
-is permitted it runs with real-time scheduling, too, before the daemon.
+Times are from handing ATTITUDE to the kernel until the setpoint has arrived at the probe's socket; where
+that is permitted the probe runs with real-time scheduling, too, before the daemon.
 """
 
 from __future__ import annotations

@@ -137,12 +137,14 @@ def main() -> None:
         ),
         "full path in process": percentiles(full_path(recording)),
     }
-    echo_port, port = free_port(), free_port()
+    socket_port, echo_port, port = free_port(), free_port(), free_port()
     here = Path(__file__).parent
     with tempfile.TemporaryDirectory() as directory:
         config = daemon_config(Path(directory), port)
         run = ("-m", "kffa_offboard", "run", "--config", str(config), "--engage")
         log = ("--log", str(Path(directory) / "flight.tlog"))
+        bare = str(here / "bare_socket.py")
+        rows["UDP, bytes made before"] = round_trips(socket_port, bare, str(socket_port))
         rows["UDP, bare pymavlink echo"] = round_trips(echo_port, str(here / "echo.py"), str(echo_port))
         rows["UDP, kffa-offboard run"] = round_trips(port, *run, *log)
     if find_spec("mavsdk") is None:
