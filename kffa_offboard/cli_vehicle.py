@@ -16,6 +16,7 @@ from kffa_offboard.flightlog.plot import PlotStream
 from kffa_offboard.flightlog.writer import LogExists, TlogWriter
 from kffa_offboard.mavlink.address import NetworkAddress, parse_url
 from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.last_words import FramedLastWords
 from kffa_offboard.mavlink.link import open_link
 from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.mavlink.session import Observer, Session
@@ -23,6 +24,8 @@ from kffa_offboard.mavlink.transport import Clock, Link
 from kffa_offboard.mavlink.udp import UdpLink
 from kffa_offboard.offboard.events import Event, Output, ProcessReport
 from kffa_offboard.offboard.service import Service
+from kffa_offboard.process import dead_man
+from kffa_offboard.process.dead_man import LastWords
 from kffa_offboard.process.flight_mark import FlightMark
 from kffa_offboard.process.notify import ServiceManager
 from kffa_offboard.process.realtime import Collector
@@ -107,8 +110,12 @@ def open_vehicle(
             log = writer.path
             sources.append(writer.take_trouble)
         _say_begin(shared.console, config, link, name)
+        service = Service(config.service)
+        if not options.lockstep:
+            words = FramedLastWords(service, link, route, shared.clock)
+            sources += _dead_man_switch(config, words, shared.console, stack)
         session = Session(
-            Service(config.service),
+            service,
             link,
             route,
             recorder=writer,
@@ -124,6 +131,25 @@ def open_vehicle(
             yield VehicleRun(name, config, log, session, watch)
         finally:
             _say_what_is_left(session, changed)
+
+
+def _dead_man_switch(
+    config: DaemonConfig, words: LastWords, console: StatusConsole, stack: ExitStack
+) -> list[TroubleSource]:
+    """Who says our last words if we cannot. Raises UserError if that process cannot be started."""
+    if not config.process.dead_man_switch:
+        return []
+    if not dead_man.is_available():
+        console.tell("warning: no dead man's switch on this system; it needs Linux")
+        return []
+    try:
+        switch = stack.enter_context(closing(dead_man.DeadManSwitch(words)))
+    except OSError as error:
+        raise UserError(
+            f"dead man's switch: a process cannot be started: {error.strerror}; allow it, or set "
+            "process.dead_man_switch = false"
+        ) from error
+    return [switch.take_trouble]
 
 
 def _stored_beside_control(

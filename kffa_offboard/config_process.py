@@ -22,9 +22,11 @@ class ProcessSettings:
     ----------
     reengage : with --engage, take control again after a restart in flight
     late_step_s : from when on a control step is late
+    dead_man_switch : a process of its own sends a level setpoint if this one dies in control
     """
 
     reengage: bool = False
+    dead_man_switch: bool = True
     late_step_s: float = 0.005
 
 
@@ -35,6 +37,7 @@ class ProcessTable(Table):
     """`[process]`: `ProcessSettings`."""
 
     reengage: bool = _PROCESS.reengage
+    dead_man_switch: bool = _PROCESS.dead_man_switch
     late_step_s: Annotated[float, number("s", at_least=1e-4, at_most=1.0)] = _PROCESS.late_step_s
 
     def settings(self) -> ProcessSettings:

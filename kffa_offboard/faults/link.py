@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Hashable
 
 from kffa_offboard.faults.barrier import BarrierFaults
-from kffa_offboard.mavlink.transport import Datagram, Link
+from kffa_offboard.mavlink.transport import Datagram, Link, Posting
 
 
 class FaultyLink:
@@ -50,6 +50,10 @@ class FaultyLink:
     def send(self, data: bytes) -> bool:
         """See `transport.Link`. What a fault keeps counts as sent."""
         return all([self.inner.send(passed) for passed in self.faults.from_daemon(data)])
+
+    def posting(self, data: bytes) -> Posting | None:
+        """See `transport.Link`; nobody sends in this one's place."""
+        return None
 
     def lock(self, source: Hashable) -> None:
         """See `transport.Link`."""

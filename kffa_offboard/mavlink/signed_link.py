@@ -29,7 +29,7 @@ from kffa_offboard.mavlink.signing import (
     without_signature,
 )
 from kffa_offboard.mavlink.signing_key import read_key
-from kffa_offboard.mavlink.transport import Clock, Datagram, Link
+from kffa_offboard.mavlink.transport import Clock, Datagram, Link, Posting
 
 LOG = logging.getLogger(__name__)
 
@@ -98,6 +98,7 @@ class SignedLink:
     ) -> None:
         self._link = link
         self._signer = signer
+        self._spare = signer.beside()
         self._strangers = strangers  # what they send must not make the vehicle's own frames look old
         self._clock = clock
         self._timestamp_file = timestamp_file
@@ -147,6 +148,11 @@ class SignedLink:
     def send(self, data: bytes) -> bool:
         """See `transport.Link`; `data` is one frame."""
         return self._link.send(self._signer.sign(data, self._clock()))
+
+    def posting(self, data: bytes) -> Posting | None:
+        """See `transport.Link`. Signed as on another link, or what goes out here would make it look old."""
+        self._spare.timestamp = max(self._spare.timestamp, self._signer.timestamp)
+        return self._link.posting(self._spare.sign(data, self._clock()))
 
     def lock(self, source: Hashable) -> None:
         """See `transport.Link`."""

@@ -98,6 +98,10 @@ class Signer:
         self._newest: dict[tuple[int, int, int], int] = {}
         self.timestamp = timestamp
 
+    def beside(self) -> Signer:
+        """The same key on another link: neither one's timestamps make the other's look old."""
+        return Signer(self._key, (self._link_id[0] + 128) % 256, self.timestamp)
+
     def sign(self, frame: bytes, time_us: int) -> bytes:
         """The frame with a signature. It must be a whole unsigned MAVLink 2 frame of a known message."""
         self.timestamp = min(max(timestamp_at(time_us), self.timestamp + 1), _LARGEST)

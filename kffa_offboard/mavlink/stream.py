@@ -13,7 +13,7 @@ from collections.abc import Hashable
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.mavlink.transport import Clock, Datagram
+from kffa_offboard.mavlink.transport import Clock, Datagram, Posting
 
 READ_SIZE = 4096
 UNSENT_LIMIT = 2048
@@ -132,6 +132,10 @@ class StreamLink(ABC):
         self._waiting.append(data)
         self._flush()
         return self._is_open()
+
+    def posting(self, data: bytes) -> Posting | None:
+        """See `transport.Link`. After a frame that is only half on its way, that half is lost."""
+        return Posting(self._file_descriptor(), data) if self._is_open() else None
 
     @property
     def _unsent(self) -> int:

@@ -26,6 +26,17 @@ class Datagram(NamedTuple):
     waited_us: int = 0
 
 
+class Posting(NamedTuple):
+    """What it takes to send in a link's place: its descriptor, the bytes as they go out, and where to.
+
+    `place` is host and port; None where the descriptor knows the way.
+    """
+
+    descriptor: int
+    data: bytes
+    place: tuple[str, int] | None = None
+
+
 class Link(Protocol):
     """A way to the vehicle. Not safe to share between threads."""
 
@@ -53,6 +64,9 @@ class Link(Protocol):
 
     def send(self, data: bytes) -> bool:
         """Send whole frames without waiting. False if they were dropped (nobody there, buffers full)."""
+
+    def posting(self, data: bytes) -> Posting | None:
+        """How another process can send a whole frame here; None while there is nobody to send to."""
 
     def lock(self, source: Hashable) -> None:
         """From now on listen to `source` alone and answer it alone; a few datagrams of others are marked."""

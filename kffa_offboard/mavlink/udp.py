@@ -13,7 +13,7 @@ from collections.abc import Hashable
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.address import NetworkAddress, resolve
-from kffa_offboard.mavlink.transport import Clock, Datagram
+from kffa_offboard.mavlink.transport import Clock, Datagram, Posting
 
 LOG = logging.getLogger(__name__)
 
@@ -150,6 +150,15 @@ class UdpLink:
             self._note(error)
             return False
         return True
+
+    def posting(self, data: bytes) -> Posting | None:
+        """See `transport.Link`."""
+        if not self._listens:
+            return Posting(self._socket.fileno(), data)
+        if not isinstance(self._peer, tuple):
+            return None
+        host, port = self._peer[:2]
+        return Posting(self._socket.fileno(), data, (host, port))
 
     def _note(self, error: OSError) -> None:
         """Remember why the last datagram was lost; say it once, not for each."""

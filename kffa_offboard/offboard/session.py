@@ -10,7 +10,15 @@ from dataclasses import replace
 from math import nan
 
 from kffa_offboard.offboard import admission, events, sequence, telemetry
-from kffa_offboard.offboard.events import Announce, ModeKind, Output, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.events import (
+    Announce,
+    AttitudeTarget,
+    ModeKind,
+    Output,
+    SetArmed,
+    SetMode,
+    Severity,
+)
 from kffa_offboard.offboard.external import External
 from kffa_offboard.offboard.farewell import farewell
 from kffa_offboard.offboard.flight import (
@@ -301,6 +309,15 @@ class Session:
 
     # ------------------------------------------------------------------------- failsafe
 
+    @property
+    def has_control(self) -> bool:
+        """Setpoints may be what flies the vehicle."""
+        return self.state in SENDING
+
+    def last_setpoint(self) -> AttitudeTarget | None:
+        """That of `last_words`, while nothing ends yet; None where they have none."""
+        return next(iter(self._farewell()), None) if self.state in SENDING else None
+
     def last_words(self) -> list[Output]:
         """The process ends in the middle of control: one level setpoint, whatever else is due.
 
@@ -345,8 +362,12 @@ class Session:
 
     def _say_farewell(self) -> None:
         """The autopilot flies the last setpoint on until it notices our silence: let that be a level one."""
-        if self._engagement is None or sequence.mode_granted(self._engagement):
-            self._emit(*farewell(self.settings, self._loop, self._flight, self._known))
+        self._emit(*self._farewell())
+
+    def _farewell(self) -> tuple[AttitudeTarget, ...]:
+        if self._engagement is not None and not sequence.mode_granted(self._engagement):
+            return ()  # the autopilot does not listen to ours yet
+        return farewell(self.settings, self._loop, self._flight, self._known)
 
     def _failsafe_request(self) -> SetMode | SetArmed | None:
         """On the ground disarm what was armed here; in the air the configured mode, if any.

@@ -15,7 +15,7 @@ from kffa_offboard.mavlink.commands import is_timesync_request
 from kffa_offboard.mavlink.component import Component, Route
 from kffa_offboard.mavlink.session import ProcessRequest, Session
 from kffa_offboard.mavlink.shell import pass_barrier, take_message
-from kffa_offboard.mavlink.transport import Datagram
+from kffa_offboard.mavlink.transport import Datagram, Posting
 from kffa_offboard.offboard.events import ProcessReport, Signals
 from kffa_offboard.offboard.service import Service
 from kffa_offboard.replay.recording import Frame, Recording, is_report, is_request
@@ -53,6 +53,10 @@ class NoLink:
     def send(self, data: bytes) -> bool:
         """See `transport.Link`."""
         return True
+
+    def posting(self, data: bytes) -> Posting | None:
+        """See `transport.Link`."""
+        return None
 
     def lock(self, source: Hashable) -> None:
         """See `transport.Link`."""

@@ -154,9 +154,7 @@ def test_however_wrong_a_body_rate_is_the_vehicle_tilts_by_less_than_0_15_rad(se
 
 @pytest.mark.parametrize("step", [0.15, -0.17, 0.19, -0.2, 0.25])
 @pytest.mark.parametrize("load", [0.0, 5.0])
-def test_however_far_an_attitude_is_set_anew_the_vehicle_tilts_by_less_than_0_3_rad(
-    settled_flight, step, load
-):
+def test_however_far_an_attitude_steps_the_vehicle_tilts_by_less_than_0_3_rad(settled_flight, step, load):
     wrong = Offset(0.1, messages=ATTITUDE, values={"pitch": step})
     flight = settled_flight("px4", load).fly_on(1.0, (wrong,))
     assert flight.violations == []

@@ -1,0 +1,151 @@
+"""A dead man's switch says the last words of a daemon that was killed, and nobody else's."""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import textwrap
+import time
+
+import pytest
+
+from kffa_offboard.process import dead_man_child
+from kffa_offboard.process.dead_man import DeadManSwitch
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
+
+DAEMON = """
+import os, signal, socket, sys, time
+from kffa_offboard.process.dead_man import DeadManSwitch
+{link}
+class Words:
+    has_control = True
+    def posting(self):
+        return {posting}
+words = Words()
+switch = DeadManSwitch(words)
+assert switch.take_trouble() is None
+{then}
+"""
+UDP_OUT = 'link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM); link.connect(("127.0.0.1", {port}))'
+UDP_IN = "link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)"
+KILLED = "os.kill(os.getpid(), signal.SIGKILL)"
+POSTING = 'link.fileno(), b"\\n level \\n", None'
+
+
+@pytest.fixture
+def vehicle():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as opened:
+        opened.bind(("127.0.0.1", 0))
+        opened.settimeout(5.0)
+        yield opened
+
+
+def live(link, posting, then):
+    """A daemon from its start to its end."""
+    code = textwrap.dedent(DAEMON).format(link=link, posting=posting, then=then)
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=30.0)
+
+
+def assert_silent(vehicle):
+    """Whatever was sent is there: the daemon's other half ends before its standard streams are closed."""
+    vehicle.settimeout(1.0)
+    with pytest.raises(TimeoutError):
+        vehicle.recv(100)
+
+
+@pytest.mark.parametrize("end", ["SIGKILL", "SIGSEGV", "SIGABRT"])
+def test_a_daemon_that_dies_in_control_has_its_last_words_said(vehicle, end):
+    port = vehicle.getsockname()[1]
+    run = live(UDP_OUT.format(port=port), POSTING, f"os.kill(os.getpid(), signal.{end})")
+    assert run.returncode == -getattr(signal, end)
+    assert vehicle.recv(100) == b"\n level \n"
+
+
+def test_where_the_descriptor_does_not_know_the_way_the_words_do(vehicle):
+    port = vehicle.getsockname()[1]
+    live(UDP_IN, f'link.fileno(), b"level", ("127.0.0.1", {port})', KILLED)
+    assert vehicle.recv(100) == b"level"
+
+
+def test_a_stream_that_was_opened_anew_is_written_to():
+    ours, theirs = socket.socketpair()
+    with ours, theirs:
+        code = textwrap.dedent(DAEMON).format(
+            link=f"link = socket.socket(fileno={theirs.fileno()}); null = open(os.devnull, 'wb')",
+            posting='(link if hasattr(self, "again") else null).fileno(), b"level", None',
+            then=f"words.again = True; time.sleep(0.15); assert switch.take_trouble() is None; {KILLED}",
+        )
+        command = [sys.executable, "-c", code]
+        subprocess.run(command, pass_fds=(theirs.fileno(),), timeout=30.0, check=False)
+        ours.settimeout(5.0)
+        assert ours.recv(100) == b"level"
+
+
+GIVEN_UP = "words.has_control = False; assert switch.take_trouble() is None; "
+HUNG = f"time.sleep({dead_man_child.FRESH_S} + 0.3); "
+
+
+@pytest.mark.parametrize(
+    "then",
+    [GIVEN_UP + KILLED, HUNG + KILLED, "switch.close()", "switch.close(); " + KILLED],
+    ids=["gave control up", "hung before", "ended well", "killed after its end"],
+)
+def test_nothing_is_said_for_a_daemon_that(vehicle, then):
+    live(UDP_OUT.format(port=vehicle.getsockname()[1]), POSTING, then)
+    assert_silent(vehicle)
+
+
+def test_nothing_is_said_where_there_is_nothing_to_say(vehicle):
+    live(UDP_OUT.format(port=vehicle.getsockname()[1]), "None", KILLED)
+    assert_silent(vehicle)
+
+
+class Words:
+    """Of a daemon in this process."""
+
+    has_control = True
+
+    def __init__(self, link):
+        self.asked = 0
+        self._link = link
+
+    def posting(self):
+        self.asked += 1
+        return self._link.fileno(), b"level", None
+
+
+def test_the_words_are_brought_up_to_date_ten_times_a_second_not_at_every_turn(vehicle):
+    words = Words(vehicle)
+    switch = DeadManSwitch(words)
+    began = time.monotonic()
+    while time.monotonic() - began < 0.55:
+        assert switch.take_trouble() is None
+    switch.close()
+    assert 4 <= words.asked <= 7
+
+
+def test_that_the_switch_is_gone_is_said_once(vehicle):
+    words = Words(vehicle)
+    switch = DeadManSwitch(words)
+    os.kill(switch._process.pid, signal.SIGKILL)
+    switch._process.wait(5.0)
+    said = []
+    for _ in range(3):
+        said.append(switch.take_trouble())
+        switch._due_s = 0.0
+    assert said == ["dead man's switch: broken pipe", None, None]
+    switch.close()
+    switch.close()
+
+
+def test_signals_for_the_whole_group_leave_it_alone(vehicle):
+    port = vehicle.getsockname()[1]
+    everybody = "import time; time.sleep(0.5); " + "; ".join(
+        f"os.kill(switch._process.pid, signal.{number.name})" for number in dead_man_child.IGNORED
+    )
+    live(UDP_OUT.format(port=port), POSTING, f"{everybody}; switch.take_trouble(); {KILLED}")
+    assert vehicle.recv(100) == b"\n level \n"
