@@ -54,7 +54,8 @@ class Rhythm:
     def deadline(self, heard_s: float, due_s: float) -> float:
         """Until when to wait for the outputs to a frame.
 
-        `heard_s` is when the latest outputs came or the frame went out, `due_s` when the next frame is due.
+        `heard_s` is when outputs last came nearer to the frame's time, or the frame went out; `due_s` when
+        the next frame is due.
         """
         return heard_s + self._patience_s if self.phase == "lock-step" else due_s
 
@@ -67,7 +68,7 @@ class Rhythm:
     def after_frame(self, heard: bool, answered: bool, lock_step: bool | None) -> str | None:
         """What changes now, for people, if something does.
 
-        `heard`: outputs of any time came since the last frame; `answered`: those to this very frame.
+        `heard`: outputs to a later frame than before came; `answered`: those to this very frame.
         """
         if self.phase == "lock-step" and not answered:
             self.phase = "fallback"
@@ -185,18 +186,18 @@ class Px4HilBackend:
             self._check(watch)
 
     def _await_outputs(self, rhythm: Rhythm, due: float, watch: StallWatch) -> bool:
-        """Take in what PX4 sends until its outputs are there or the time is up; did any come?"""
-        vehicle, before, heard_at = self._vehicle, self._vehicle.heard, self._clock()
+        """Take in what PX4 sends until its outputs are there or the time is up; did they come nearer?"""
+        vehicle, before, heard_at = self._vehicle, self._vehicle.heard_us, self._clock()
         while self._port.connected and not vehicle.answered:
-            count, left = vehicle.heard, rhythm.deadline(heard_at, due) - self._clock()
+            nearest, left = vehicle.heard_us, rhythm.deadline(heard_at, due) - self._clock()
             if left <= 0.0:
                 break
             vehicle.receive(self._port.receive(min(left, WAIT_S)))
-            if vehicle.heard > count:
+            if vehicle.heard_us > nearest:
                 heard_at = self._clock()
             else:
                 self._check(watch)
-        if vehicle.heard == before:
+        if vehicle.heard_us == before:
             return False
         news = watch.heard(self._clock())
         if news is not None:
@@ -227,7 +228,13 @@ class Px4HilBackend:
 
     def _tell_once(self, told: set[str]) -> None:
         """Lines that are said once in a session."""
+        stranger = self._port.turned_away
         for true, line in (
+            (
+                stranger != "",
+                f"{stranger} wanted this port, too, and was turned away; "
+                "end this PX4 first if another is to fly",
+            ),
             (self._vehicle.lock_step is False, "this PX4 was built without lock-step: flying in real time"),
             (self._vehicle.bad_bytes > 0, "PX4 sent bytes that are no MAVLink frame; they are skipped"),
         ):

@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_vehicle import airframe
 from sim_vehicle.backends import px4_sensors, sensors
 from sim_vehicle.config import SimConfig
+from sim_vehicle.errors import SimulatorError
 from sim_vehicle.frames import Array, body_to_frd
 from sim_vehicle.plant import Plant
 
@@ -45,6 +46,9 @@ INERTIAL, MAGNETIC, AIR = 0x3F, 0x1C0, 0x1A00
 GRIPPER_THRESHOLD = 0.5
 """The gripper's output beyond which it counts as closed, or below minus which as open."""
 
+FARTHEST = 1e6
+"""Largest number in a state [m, m/s, rad, rad/s] that the frames can hold; no flight gets there."""
+
 MODE_NAME = "external"
 """The truth's column "mode": PX4 does not say over this interface."""
 
@@ -65,7 +69,7 @@ class Px4Vehicle:
     plant : the flying body
     armed : PX4 says so
     answered : the motor outputs for the latest HIL_SENSOR are there
-    heard : how many HIL_ACTUATOR_CONTROLS came in this session
+    heard_us : latest time_usec of this session's motor outputs that is not ahead of ours; -1 before [us]
     lock_step : whether PX4 waits for our time; None before the first outputs
     bad_bytes : how much came in this session that was no MAVLink frame
     """
@@ -95,7 +99,7 @@ class Px4Vehicle:
         self._gripper_closed: bool | None = None
         self.armed = False
         self.answered = False
-        self.heard = 0
+        self.heard_us = -1
         self.lock_step: bool | None = None
         self.bad_bytes = 0
 
@@ -112,14 +116,28 @@ class Px4Vehicle:
     # ---------------------------------------------------------------------------------- physics
 
     def advance(self) -> bytes:
-        """One sensor period of physics with the latest motor outputs, and the frames of its end."""
+        """One sensor period of physics with the latest motor outputs, and the frames of its end.
+
+        Raises SimulatorError if the plant's state has left all bounds.
+        """
         self._before = self.plant.state
         for _ in range(SENSOR_PERIOD_US // self.plant.step_us):
             self.plant.step(self._commands)
             if self.plant.truth.due(self.time_us):
                 self._record()
+        self._check_state()
         self.answered = False
         return self._frames()
+
+    def _check_state(self) -> None:
+        rigid = self.plant.state.rigid
+        if not (np.abs(rigid) <= FARTHEST).all():  # nor is NaN
+            x, y, z = rigid[:3].tolist()
+            raise SimulatorError(
+                f"px4-hil: the vehicle's state has left all bounds ({FARTHEST:g}) at "
+                f"{self.time_us * 1e-6:.2f} s: x {x:g}, y {y:g}, z {z:g} m; stop PX4, look at "
+                "what it flew, or choose a shorter vehicle.physics_dt_s"
+            )
 
     def _record(self) -> None:
         self.plant.record(self.armed, MODE_NAME)
@@ -137,9 +155,10 @@ class Px4Vehicle:
 
     def _take_outputs(self, message: Any) -> None:
         outputs = [value if math.isfinite(value) else 0.0 for value in message.controls]  # NaN: PX4's "off"
-        self.heard += 1
         self.lock_step = bool(message.flags & LOCK_STEP)
         self.answered = self.answered or message.time_usec == self.time_us
+        if message.time_usec <= self.time_us:
+            self.heard_us = max(self.heard_us, message.time_usec)
         armed = bool(message.mode & ARMED)
         if armed != self.armed:
             self.armed = armed

@@ -16,10 +16,16 @@ LARGEST_READ = 65536
 
 
 class Px4Port:
-    """A listener and one connection, which a newer one replaces: PX4 connects once in its life.
+    """A listener and one connection. PX4 connects once in its life: others are turned away while it is there.
 
     Raises SimulatorError if the port cannot be had, or leaves this machine without `allow_remote`.
+
+    Attributes
+    ----------
+    turned_away : address of the latest that was turned away; empty if nobody was
     """
+
+    turned_away = ""
 
     def __init__(self, host: str, port: int, allow_remote: bool = False) -> None:
         where = f"backend.px4_hil: {host} port {port}"
@@ -65,18 +71,19 @@ class Px4Port:
         if not ready:
             return False
         self._drop()
+        self.turned_away = ""
         self._stream, _ = self._listener.accept()
         self._stream.setblocking(False)
         self._stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         return True
 
     def receive(self, timeout_s: float) -> bytes:
-        """What PX4 sent within the time; drops the connection if PX4 has closed it or connects anew."""
+        """What PX4 sent within the time; drops the connection if PX4 has closed it."""
         if self._stream is None:
             return b""
         ready, _, _ = select.select([self._stream, self._listener], [], [], max(0.0, timeout_s))
         if self._listener in ready:
-            self._drop()
+            self._meet(self._stream)
         if self._stream not in ready or self._stream is None:
             return b""
         try:
@@ -86,6 +93,17 @@ class Px4Port:
         if not data:
             self._drop()
         return data
+
+    def _meet(self, present: socket.socket) -> None:
+        """A newcomer takes the place of a PX4 that has gone, and of nobody else."""
+        poll = select.poll()
+        poll.register(present, select.POLLRDHUP)
+        if poll.poll(0):  # closed, though unread bytes may be left
+            self._drop()
+            return
+        newcomer, (host, port) = self._listener.accept()
+        newcomer.close()
+        self.turned_away = f"{host}:{port}"
 
     def send(self, data: bytes, timeout_s: float) -> bytes:
         """Send; returns what could not be sent within the time. Drops the connection if PX4 has closed it."""

@@ -88,9 +88,13 @@ class Fix(NamedTuple):
     velocity_ned: Array
 
 
+TROPOPAUSE_M = 11_000.0
+"""Altitude to which the standard atmosphere's lapse rate holds."""
+
+
 def standard_pressure(altitude: float) -> float:
-    """Pressure [Pa] of the International Standard Atmosphere at an altitude [m] up to 11 km."""
-    return float(101_325.0 * (1.0 - 0.0065 * altitude / 288.15) ** 5.25588)
+    """Pressure [Pa] of the International Standard Atmosphere at an altitude [m]; that of 11 km above them."""
+    return float(101_325.0 * (1.0 - 0.0065 * min(altitude, TROPOPAUSE_M) / 288.15) ** 5.25588)
 
 
 def pressure_altitude(pressure: float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import socket
 import threading
@@ -29,6 +30,7 @@ class ScriptedWire(Px4Port):
     silent : the frame numbers (in the session) that get no answer
     deaf : sending waits in vain until this wall time
     dies_at : the frame at which PX4 closes its link
+    chatter_from : from this frame on outputs of the time 77 us come without end
     """
 
     def __init__(self, boot_frames: int = 5, silent: range = range(0), flags: int = 1) -> None:
@@ -39,6 +41,7 @@ class ScriptedWire(Px4Port):
         self.dies_at = -1
         self.away_s = 0.0
         self.sessions = 0
+        self.chatter_from = -1
         self._boot_frames = boot_frames
         self._flags = flags
         self._stream: Any = None
@@ -65,6 +68,8 @@ class ScriptedWire(Px4Port):
         if self.frames == self.dies_at:
             self.dies_at, self._stream = -1, None
             return b""
+        if 0 <= self.chatter_from <= self.frames:
+            self._answer = self._outputs(77)
         answer, self._answer = self._answer, b""
         self.now += 0.0002 if answer else max(timeout_s, 0.0)
         return answer
@@ -82,10 +87,12 @@ class ScriptedWire(Px4Port):
     def _reply(self, time_us: int) -> None:
         if self.frames <= self._boot_frames or self.frames in self.silent:
             return
-        outputs = mavlink.MAVLink_hil_actuator_controls_message(
-            time_us, [*[HOVER] * 4, *[0.0] * 12], 129, self._flags
-        )
-        self._answer += outputs.pack(self._codec)
+        self._answer += self._outputs(time_us)
+
+    def _outputs(self, time_us: int) -> bytes:
+        controls = [*[HOVER] * 4, *[0.0] * 12]
+        message = mavlink.MAVLink_hil_actuator_controls_message(time_us, controls, 129, self._flags)
+        return bytes(message.pack(self._codec))
 
 
 def fly(
@@ -139,6 +146,16 @@ def test_a_px4_that_stays_silent_is_reported_again_and_again_and_given_up_if_wan
         backend.run(60.0, lambda: None)
     assert lines[3].startswith("px4-hil: no motor output for 5 s") and "still waiting" in lines[3]
     assert backend.plant.time_us < 1_200_000
+
+
+def test_outputs_of_another_time_without_end_do_not_hold_time_up() -> None:
+    wire = ScriptedWire()
+    wire.chatter_from = 100
+    backend, lines = fly(wire, 0.5)
+    assert backend.plant.time_us == 500_000
+    assert "0.40 s: no motor outputs for 1 s; going on slowly" in lines[2]
+    assert lines[3].startswith("px4-hil: no motor output for 5 s at 0.4"), lines[3:]
+    assert len(lines) == 4
 
 
 def test_a_px4_that_does_not_read_is_reported_and_time_waits_for_it() -> None:
@@ -230,6 +247,66 @@ def test_px4_connects_sends_broken_frames_dies_and_comes_back_over_tcp(port: Px4
     for expected in ("no MAVLink frame", "closed its link", "PX4 is back", "in lock-step"):
         assert expected in said
     assert events(backend).count("firmware restarted") == 1
+
+
+def test_who_knocks_while_px4_flies_is_turned_away_and_named(port: Px4Port) -> None:
+    host, number = port.address.split(":")
+    strangers: list[str] = []
+
+    def live() -> None:
+        codec: Any = mavlink.MAVLink(file=None, srcSystem=1, srcComponent=1)
+        with (
+            contextlib.suppress(ConnectionError),  # the end, with sensors unread
+            socket.create_connection((host, int(number))) as stream,
+        ):
+            while data := stream.recv(65536):
+                for message in codec.parse_buffer(data) or []:
+                    if message.get_type() == "HIL_SENSOR" and message.time_usec == 200_000:
+                        with socket.create_connection((host, int(number))) as knock:
+                            strangers.append(f"127.0.0.1:{knock.getsockname()[1]}")
+                            assert knock.recv(1) == b""
+                    if message.get_type() == "HIL_SENSOR":
+                        outputs = mavlink.MAVLink_hil_actuator_controls_message(
+                            message.time_usec, [HOVER] * 16, 129, 1
+                        )
+                        stream.sendall(outputs.pack(codec))
+
+    px4 = threading.Thread(target=live, daemon=True)
+    px4.start()
+    lines: list[str] = []
+    backend = Px4HilBackend(settings(px4_hil={"outputs_timeout_s": 20.0}), port, lines.append)
+    backend.run(0.4, lambda: None)
+    port.__exit__()
+    px4.join(5.0)
+    assert not px4.is_alive()
+    assert events(backend) == ["armed"]
+    (line,) = [line for line in lines if "turned away" in line]
+    assert port.turned_away == strangers[0]
+    assert f": {strangers[0]} wanted this port, too, and was turned away; end this PX4 first" in line
+
+
+def test_the_next_px4_hears_nothing_of_who_was_turned_away_before(port: Px4Port) -> None:
+    host, number = port.address.split(":")
+    with socket.create_connection((host, int(number))):
+        assert port.accept(5.0)
+        with socket.create_connection((host, int(number))):
+            port.receive(5.0)
+        assert port.turned_away
+    with socket.create_connection((host, int(number))):
+        assert port.accept(5.0)
+        assert port.turned_away == ""
+
+
+def test_a_newer_px4_takes_the_place_of_one_that_died_with_bytes_unread(port: Px4Port) -> None:
+    host, number = port.address.split(":")
+    with socket.create_connection((host, int(number))) as dead:
+        assert port.accept(5.0)
+        dead.sendall(b"last words")
+    with socket.create_connection((host, int(number))):
+        assert port.receive(5.0) == b""
+        assert not port.connected
+        assert port.accept(5.0)
+    assert port.turned_away == ""
 
 
 def test_a_port_in_use_and_a_port_of_another_machine_are_refused_with_the_remedy(port: Px4Port) -> None:

@@ -16,6 +16,7 @@ from sim_vehicle import airframe
 from sim_vehicle.backends.px4_hil import Px4Vehicle, physics_step_us
 from sim_vehicle.backends.px4_sensors import Px4SensorNoise, range_finder
 from sim_vehicle.config import build
+from sim_vehicle.errors import SimulatorError
 from sim_vehicle.frames import body_to_frd
 
 HOVER = 98.0 / 246.0
@@ -59,6 +60,28 @@ def fly(
 
 def of(messages: list[Any], kind: str) -> list[Any]:
     return [message for message in messages if message.get_type() == kind]
+
+
+# ------------------------------------------------------------------------------------- bounds
+
+
+@pytest.mark.parametrize("height_m", [12_000.0, 50_000.0, 900_000.0])
+def test_a_vehicle_that_climbs_away_still_has_sensors(height_m: float) -> None:
+    simulator, rigid = hil(), np.zeros(12)
+    rigid[2] = height_m
+    simulator.plant.state = airframe.initial_state(rigid)
+    sent = fly(simulator, ScriptedPx4(), 0.4, [1.0] * 4)
+    assert of(sent, "HIL_GPS")[-1].alt == pytest.approx(1e3 * (height_m + 488.0), abs=2e3)
+    assert of(sent, "HIL_SENSOR")[-1].time_usec == 400_000
+
+
+@pytest.mark.parametrize(("number", "value"), [(3, math.nan), (0, -2e6), (2, math.inf), (10, 1e7)])
+def test_a_state_beyond_all_bounds_is_one_line_with_the_remedy(number: int, value: float) -> None:
+    simulator, rigid = hil(), np.zeros(12)
+    rigid[number] = value
+    simulator.plant.state = airframe.initial_state(rigid)
+    with pytest.raises(SimulatorError, match=r"left all bounds \(1e\+06\) at 0\.00 s: .*stop PX4"):
+        fly(simulator, ScriptedPx4(), 0.4, [0.0] * 4)
 
 
 # ------------------------------------------------------------------------------------- sensors
@@ -283,7 +306,7 @@ def test_only_outputs_of_the_same_time_answer_a_sensor_frame() -> None:
     simulator.advance()
     assert not simulator.answered and simulator.lock_step is None
     simulator.receive(px4.outputs(late, [0.5] * 4))
-    assert not simulator.answered and simulator.heard == 1 and simulator.lock_step is True
+    assert not simulator.answered and simulator.heard_us == late and simulator.lock_step is True
     simulator.receive(px4.outputs(simulator.time_us, [0.5] * 4))
     assert simulator.answered
     simulator.advance()
