@@ -15,6 +15,9 @@ from collections.abc import Iterator
 from sim_vehicle.errors import SimulatorError
 
 RESEND_S = 1.0
+REFUSED_S = 0.05
+"""Pause where nobody listens yet: the refusal comes at once."""
+
 ANSWER_LIMIT_S = 60.0
 
 
@@ -40,11 +43,15 @@ class Barrier:
         word = struct.pack("<Q", time_us)
         give_up = time.monotonic() + self._timeout_s
         while time.monotonic() < give_up:
-            with contextlib.suppress(TimeoutError, ConnectionRefusedError):
+            try:
                 self._socket.send(word)
                 while self._socket.recv(64) != word:
                     pass
                 return
+            except TimeoutError:
+                continue
+            except ConnectionRefusedError:
+                time.sleep(REFUSED_S)
         raise SimulatorError(
             f"backend.barrier_port: nobody let time go on at {time_us * 1e-6:.2f} s"
             f" within {self._timeout_s:g} s; is the other side running?"

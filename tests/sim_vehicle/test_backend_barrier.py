@@ -49,3 +49,29 @@ def test_an_answer_that_never_comes_is_one_line() -> None:
             sock.settimeout(0.01)
             with pytest.raises(SimulatorError, match=r"nobody let time go on at 0\.00 s within 0\.05 s; is"):
                 Barrier(sock, 4000, 0.05).wait(4000)
+
+
+def test_where_nobody_listens_yet_it_asks_again_without_hurry(monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses: list[float] = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+        end.bind(("127.0.0.1", 0))
+        number = end.getsockname()[1]
+    listening = threading.Event()
+
+    def pause(seconds: float) -> None:
+        pauses.append(seconds)
+        if len(pauses) == 2:
+            threading.Thread(target=listen).start()
+            assert listening.wait(5.0)
+
+    def listen() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as late:
+            late.bind(("127.0.0.1", number))
+            late.settimeout(5.0)
+            listening.set()
+            answer(late, [], 1)
+
+    monkeypatch.setattr("sim_vehicle.backends.barrier.time.sleep", pause)
+    with open_barrier(number, period_us=4000) as barrier:
+        barrier.wait(4000)
+    assert pauses == [0.05, 0.05]
