@@ -1,8 +1,9 @@
 """The plant behind ArduPilot's JSON interface, without clock and without sockets.
 
 Lock-step: each servo packet is answered once. The plant goes on by the firmware's own frame period, in whole
-physics steps. A packet that comes again gets the same answer again. A frame count that goes back, or another
-sender, is a firmware that has been restarted: the vehicle stays where it is, the firmware's time begins anew.
+physics steps. A packet that comes again gets the same answer again; an older one, that a network delivers
+late, gets none. A frame count that begins at 0 again, or another sender, is a firmware that has been
+restarted: the vehicle stays where it is, the firmware's time begins anew.
 """
 
 from __future__ import annotations
@@ -34,6 +35,9 @@ LONGEST_FRAME_S = 0.09
 """Longest step taken at once; the firmware refuses 0.1 s and more."""
 
 
+UNDRIVEN_US = 5_000_000
+"""ArduCopter drives its motors' outputs from 2 s after its start on."""
+
 LEAST_RATE_HZ = 720.0
 """Gyro samples that ArduCopter wants before it arms: 1.8 times its loop rate (AP_InertialSensor.cpp)."""
 
@@ -48,7 +52,7 @@ class Answer(NamedTuple):
 
 @dataclass
 class Counters:
-    """What came in: answered frames, packets that came again, that were no servo packets, and restarts."""
+    """What came in: answered frames, packets again or late, packets that were no servo packets, restarts."""
 
     frames: int = 0
     repeated: int = 0
@@ -99,6 +103,7 @@ class ArdupilotVehicle:
         self._origin_us = 0
         self._answer: Answer | None = None
         self._complained: set[Hashable] = set()
+        self._told_idle = False
         self._record()
 
     def receive(self, datagrams: Iterable[tuple[Hashable, bytes]]) -> Answer | None:
@@ -109,8 +114,13 @@ class ArdupilotVehicle:
         newest: tuple[Hashable, ServoPacket] | None = None
         for peer, data in datagrams:
             packet = self._parse(peer, data)
-            if packet is not None:
-                newest = peer, packet
+            if packet is None:
+                continue
+            before = newest or (self._peer, ServoPacket(0, self._frame_count, ()))
+            if _is_late(packet.frame_count, before[1].frame_count) and peer == before[0]:
+                self.counters.repeated += 1
+                continue
+            newest = peer, packet
         return None if newest is None else self._reply(*newest)
 
     # ------------------------------------------------------------------------------- the border
@@ -174,6 +184,7 @@ class ArdupilotVehicle:
     def _fly(self, packet: ServoPacket) -> bytes:
         """One frame of simulated time with these outputs; the answer for the state at its end."""
         plant = self.plant
+        self._look_for_pulses(packet.pwm)
         commands = motor_commands(self._motors, packet.pwm)
         self._note_motors(bool(commands.max() > 0.0))
         self._follow_gripper(packet)
@@ -198,6 +209,20 @@ class ArdupilotVehicle:
         period = min(LONGEST_FRAME_S, 1.0 / frame_rate) if frame_rate > 0 else 0.0
         return max(1, round(period / self.plant.dt))
 
+    def _look_for_pulses(self, pwm: tuple[int, ...]) -> None:
+        """Say so, once, if the firmware drives other outputs than those of the motors."""
+        idle = [channel for channel in self._motors.channels if not pwm[channel - 1]]
+        driven = [channel for channel, width in enumerate(pwm, start=1) if width]
+        if not idle or not driven or self._told_idle:
+            return
+        if self.plant.time_us - self._origin_us >= UNDRIVEN_US:
+            self._told_idle = True
+            self.notices.append(
+                f"{NAME}: no pulses at output {_list(idle)} of backend.ardupilot_json.motor_channels, "
+                f"the firmware drives {_list(driven)}; give the outputs of its SERVOn_FUNCTION "
+                "35, 34, 36, 33 (front, left, rear, right)"
+            )
+
     def _note_motors(self, armed: bool) -> None:
         if armed != self.armed:
             self.armed = armed
@@ -213,6 +238,15 @@ class ArdupilotVehicle:
 
     def _record(self) -> None:
         self.plant.record(self.armed, MODE_NAME)
+
+
+def _is_late(count: int, newest: int) -> bool:
+    """Is it older than a packet that is known? Only a firmware that has started anew counts from 0."""
+    return 0 < count < newest
+
+
+def _list(channels: list[int]) -> str:
+    return ", ".join(str(channel) for channel in channels)
 
 
 def _shown(peer: Hashable) -> str:

@@ -227,6 +227,42 @@ def test_packets_that_piled_up_get_one_answer_to_the_newest():
     assert firmware.vehicle.counters.restarts == 0
 
 
+def test_an_older_packet_that_comes_late_is_no_restart_and_hides_no_newer_one():
+    firmware = flying()
+    old = firmware.packet()
+    firmware.frame()
+    before = firmware.vehicle.plant.time_us
+    newest = firmware.packet()
+    firmware.take(firmware.vehicle.receive([("firmware", newest), ("firmware", old)]).data)
+    assert firmware.vehicle.plant.time_us == before + STEP_US
+    assert firmware.vehicle.receive([("firmware", old)]) is None
+    firmware.run(0.1)
+    assert firmware.vehicle.counters.restarts == 0
+
+
+def test_a_count_that_jumps_ahead_is_one_frame():
+    firmware = flying()
+    before = firmware.vehicle.plant.time_us
+    firmware.frame_count += 1000
+    firmware.frame()
+    assert firmware.vehicle.plant.time_us == before + STEP_US
+
+
+def test_motor_outputs_that_the_firmware_does_not_drive_are_named_once():
+    section = {"ardupilot_json": {"motor_channels": [3, 2, 4, 5]}}
+    firmware = FakeFirmware(vehicle(backend=section))
+    firmware.vehicle.notices.clear()
+    firmware.run(4.9, dict.fromkeys((1, 2, 3, 4), 1500))
+    assert not any("no pulses" in line for line in firmware.vehicle.notices)
+    firmware.run(1.0)
+    (line,) = [line for line in firmware.vehicle.notices if "no pulses" in line]
+    assert "no pulses at output 5 of backend.ardupilot_json.motor_channels" in line
+    assert "drives 1, 2, 3, 4; give the outputs of its SERVOn_FUNCTION 35, 34, 36, 33" in line
+    quiet = flying()
+    quiet.run(6.0)
+    assert not any("no pulses" in line for line in quiet.vehicle.notices)
+
+
 def test_bad_packets_are_ignored_counted_and_named_once_for_each_sender():
     firmware = flying()
     before = firmware.vehicle.plant.time_us
