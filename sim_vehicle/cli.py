@@ -172,22 +172,39 @@ def _say(line: str) -> None:
 
 @contextlib.contextmanager
 def _truth_file(path: Path | None, recorder: TruthRecorder) -> Iterator[Callable[[], None]]:
-    """Yield what writes the truth so far; writes the rest at the end, however the flight ends."""
+    """Yield what writes the truth so far; writes the rest at the end, however the flight ends.
+
+    Without a file it is let go: the states of a day would fill the memory.
+    """
     if path is None:
-        yield lambda: None
+        yield recorder.rows.clear
         return
     _refuse_other_kinds(path)
     try:
         stream: TextIO = path.open("w", encoding="utf-8", newline="")
     except OSError as problem:
-        reason = problem.strerror or str(problem)
-        raise SimulatorError(f"--truth {path}: cannot be written: {reason}; choose another file") from problem
-    with stream:
-        record = TruthFile(stream, recorder)
+        raise _unwritable(path, problem) from problem
+    record = TruthFile(stream, recorder)
+
+    def write() -> None:
         try:
-            yield record.flush
-        finally:
             record.flush()
+        except OSError as problem:
+            raise _unwritable(path, problem) from problem
+
+    try:
+        yield write
+    finally:
+        try:
+            write()
+        finally:
+            with contextlib.suppress(OSError):  # what could not be written was said
+                stream.close()
+
+
+def _unwritable(path: Path, problem: OSError) -> SimulatorError:
+    reason = problem.strerror or str(problem)
+    return SimulatorError(f"--truth {path}: cannot be written: {reason}; choose another file")
 
 
 def _refuse_other_kinds(path: Path) -> None:

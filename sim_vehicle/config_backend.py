@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self, TypeAlias
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from sim_vehicle.config_base import Noise, NotNegative, Section
 
@@ -12,6 +12,9 @@ BackendKind: TypeAlias = Literal["bundled", "ardupilot-json", "px4-hil"]
 Channel: TypeAlias = Annotated[int, Field(ge=1, le=32)]
 Output: TypeAlias = Annotated[int, Field(ge=1, le=16)]
 PulseWidth: TypeAlias = Annotated[int, Field(ge=500, le=2500)]
+
+SLOWEST = 0.01
+"""Least real-time factor above 0, which has a meaning of its own."""
 
 SMALLEST_TRAVEL_US = 100
 """Servo end points nearer than this could not be told apart [us]."""
@@ -111,3 +114,10 @@ class BackendSection(Section):
     """Silence after which the simulator gives up with status 2; 0 to wait for ever."""
     ardupilot_json: ArdupilotJsonSection = ArdupilotJsonSection()
     px4_hil: Px4HilSection = Px4HilSection()
+
+    @field_validator("real_time_factor")
+    @classmethod
+    def _not_asleep(cls, value: float) -> float:
+        if 0.0 < value < SLOWEST:
+            raise ValueError(f"too small; give {SLOWEST:g} or more, or 0 for as fast as possible")
+        return value

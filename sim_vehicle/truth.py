@@ -79,18 +79,18 @@ class TruthRecorder:
 
 
 class TruthFile:
-    """CSV of a recorder, written as rows come."""
+    """CSV of a recorder, written as rows come; what is written is not kept."""
 
     def __init__(self, stream: TextIO, recorder: TruthRecorder) -> None:
         self._stream = stream
         self._recorder = recorder
-        self._written = 0
         self._writer = csv.writer(stream, lineterminator="\n")
         self._writer.writerow(COLUMNS)
 
     def flush(self) -> None:
         """Write the rows that came since the last time."""
-        fresh = self._recorder.rows[self._written :]
+        fresh = self._recorder.rows[:]
+        self._recorder.rows.clear()
         for row in fresh:
             self._writer.writerow(
                 (
@@ -103,5 +103,4 @@ class TruthFile:
                     row.event,
                 )
             )
-        self._written += len(fresh)
         self._stream.flush()

@@ -73,6 +73,18 @@ def test_one_answer_for_each_packet_until_the_duration_is_over(tmp_path, firmwar
     assert rows[1]["event"] == "motors on"
 
 
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_a_full_disk_under_the_truth_is_one_line(tmp_path, firmware):
+    with physics(tmp_path, "--speedup", "0", "--truth", "/dev/full") as (process, port):
+        exchange(firmware, port, 0)
+        _, errors = process.communicate(timeout=20.0)
+    assert process.returncode == 2
+    assert errors.splitlines()[-1] == (
+        "error: --truth /dev/full: cannot be written: No space left on device; choose another file"
+    )
+    assert "Traceback" not in errors
+
+
 def test_a_silent_firmware_is_announced_and_then_given_up(tmp_path, firmware):
     with physics(tmp_path, more="stall_warning_s = 0.3\nstall_timeout_s = 1.5") as (process, port):
         exchange(firmware, port, 0)
@@ -132,6 +144,10 @@ def test_a_speed_is_not_for_physics_that_follow_the_firmwares(tmp_path):
         ),
         (["--speedup", "2"], "--speedup: the bundled firmware flies in real time"),
         (["--backend", "ardupilot-json", "--speedup", "-1"], "backend.real_time_factor = -1.0: too small"),
+        (
+            ["--backend", "px4-hil", "--speedup", "1e-300"],
+            "backend.real_time_factor = 1e-300: too small; give 0.01 or more, or 0 for as fast as possible",
+        ),
     ],
 )
 def test_options_that_do_not_go_together_are_refused(options, error):
