@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import math
 import sys
@@ -56,7 +57,10 @@ def run_campaign(plan: CampaignPlan) -> int:
         with terminate_as_interrupt():
             return _alone(plan, campaign) if plan.flight is not None else _all(plan, campaign)
     except OSError as error:
-        raise UserError(f"--out {plan.directory}: {error.strerror}; choose another directory") from error
+        remedy = "choose another directory"
+        if error.errno == errno.ENOSPC:
+            remedy = "make room, and the same command goes on with the rest"
+        raise UserError(f"--out {plan.directory}: {error.strerror or error}; {remedy}") from error
 
 
 def _campaign(plan: CampaignPlan) -> Campaign:

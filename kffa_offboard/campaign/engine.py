@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Literal
+from operator import attrgetter
+from typing import Any, Literal
 
+import kffa_offboard
 from kffa_offboard.campaign.extras import need
 from kffa_offboard.campaign.settings import Campaign
 from kffa_offboard.campaign.task import Table, Task, run
@@ -36,8 +38,8 @@ def run_local(campaign: Campaign, work: Sequence[Task], jobs: int) -> Iterator[t
 def run_dask(campaign: Campaign, work: Sequence[Task], scheduler: str) -> Iterator[tuple[Task, Table]]:
     """Results as they come from the cluster at `scheduler`, each task once.
 
-    Tasks of a worker that dies go to the others. Raises UserError if there is no cluster, no worker, or a
-    task lost its worker again and again.
+    Tasks of a worker that dies go to the others. Raises UserError if there is no cluster, no worker, one with
+    another version of this program, or a task lost its worker again and again.
     """
     distributed = need("distributed", "--engine dask")
     try:
@@ -53,6 +55,7 @@ def run_dask(campaign: Campaign, work: Sequence[Task], scheduler: str) -> Iterat
                 f"--scheduler {scheduler}: the cluster has no worker; "
                 f"start some with `dask worker {scheduler}`"
             )
+        _check_versions(client, scheduler)
         # The campaign goes with every task: data of its own on the cluster could be lost with a worker.
         futures = [client.submit(run, campaign, task, key=_key(campaign, task)) for task in work]
         try:
@@ -66,6 +69,18 @@ def run_dask(campaign: Campaign, work: Sequence[Task], scheduler: str) -> Iterat
             ) from error
         finally:
             client.cancel([future for future in futures if not future.done()])
+
+
+def _check_versions(client: Any, scheduler: str) -> None:
+    """Raise UserError if a worker would fly with another version of this program."""
+    found = client.run(attrgetter("__version__"), kffa_offboard, on_error="return")
+    for worker, version in found.items():
+        if version != kffa_offboard.__version__:
+            told = version if isinstance(version, str) else f"that cannot be had ({version})"
+            raise UserError(
+                f"--scheduler {scheduler}: worker {worker} has kffa-offboard {told}, and this is "
+                f"{kffa_offboard.__version__}; install the same version on both"
+            )
 
 
 def _key(campaign: Campaign, task: Task) -> str:

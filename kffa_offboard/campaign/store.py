@@ -8,21 +8,28 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from kffa_offboard import __version__
+from kffa_offboard.campaign.conditions import Conditions
 from kffa_offboard.campaign.extras import need
-from kffa_offboard.campaign.measure import FAILURES
+from kffa_offboard.campaign.measure import FAILURES, Outcomes
 from kffa_offboard.campaign.settings import Campaign
 from kffa_offboard.campaign.task import Table, Task
 from kffa_offboard.control.controllers import ControllerName
 from kffa_offboard.errors import UserError
 
 MANIFEST, FLIGHTS = "campaign.json", "flights"
+COLUMNS = {
+    "controller",
+    "flight",
+    *(field.name for table in (Conditions, Outcomes) for field in fields(table)),
+}
 
 
 class Store:
@@ -31,13 +38,15 @@ class Store:
     def __init__(self, directory: Path, campaign: Campaign) -> None:
         """Make the directory, or go on in one where the same campaign was flown.
 
-        Raises UserError if another campaign's flights are there.
+        Raises UserError if another campaign's flights are there, another version's, or what are none.
         """
         self._arrow = need("pyarrow", "a campaign's Parquet files")
         self._parquet = need("pyarrow.parquet", "a campaign's Parquet files")
         self.directory, self._campaign = directory, campaign
         (directory / FLIGHTS).mkdir(parents=True, exist_ok=True)
         before = self._manifest()
+        if any((directory / FLIGHTS).glob("*.parquet")):
+            self._check_version(before)
         for controller in campaign.services:
             known = before.get("controllers", {}).get(controller, campaign.digest(controller))
             if known != campaign.digest(controller):
@@ -45,6 +54,8 @@ class Store:
                     f"--out {directory}: holds another campaign's flights with {controller}; choose another "
                     "directory, or remove it"
                 )
+            for path in self._parts(controller):
+                self._flights(path)
         digests = before.get("controllers", {}) | {name: campaign.digest(name) for name in campaign.services}
         self._write(
             MANIFEST,
@@ -63,15 +74,34 @@ class Store:
         except FileNotFoundError:
             return {}
         except ValueError as error:
-            raise UserError(
-                f"{self.directory / MANIFEST}: is damaged ({error}); "
-                f"choose another --out, or remove {self.directory}"
-            ) from error
+            raise self._damaged(str(error)) from error
+        if not isinstance(found, dict) or not isinstance(found.get("controllers"), dict):
+            raise self._damaged("it names no controllers")
         return found
+
+    def _damaged(self, why: str) -> UserError:
+        return UserError(
+            f"{self.directory / MANIFEST}: is damaged ({why}); "
+            f"choose another --out, or remove {self.directory}"
+        )
+
+    def _check_version(self, before: dict[str, Any]) -> None:
+        """Raise UserError if the flights that are there are of another program than this."""
+        if not before:
+            raise UserError(
+                f"--out {self.directory}: holds flights and no {MANIFEST} that says what was flown; choose "
+                "another directory, or remove it"
+            )
+        version = before.get("version")
+        if version != __version__:
+            raise UserError(
+                f"--out {self.directory}: holds flights of kffa-offboard {version}, and this is "
+                f"{__version__}; choose another directory, remove it, or go on with version {version}"
+            )
 
     def _write(self, name: str, document: Any) -> None:
         text = json.dumps(document, indent=1, ensure_ascii=False)
-        (self.directory / name).write_text(text + "\n", encoding="utf-8")
+        _replace(self.directory / name, lambda draft: draft.write_text(text + "\n", encoding="utf-8"))
 
     def _path(self, task: Task) -> Path:
         return self.directory / FLIGHTS / f"{task.name}.parquet"
@@ -87,14 +117,12 @@ class Store:
             **table,
             "failure": np.array(FAILURES)[table["failure"]],
         }
-        temporary = self._path(task).with_suffix(".partial")
-        self._parquet.write_table(self._arrow.table(columns), temporary)
-        os.replace(temporary, self._path(task))
+        rows = self._arrow.table(columns)
+        _replace(self._path(task), lambda draft: self._parquet.write_table(rows, draft))
 
     def read(self, controller: ControllerName, flights: int) -> dict[str, Any]:
         """Columns ``(N,)`` of the kept flights of a controller with numbers below `flights`, in order."""
-        paths = sorted((self.directory / FLIGHTS).glob(f"{controller}-????????-????????.parquet"))
-        tables = [self._parquet.read_table(path) for path in paths]
+        tables = [self._parquet.read_table(path) for path in self._parts(controller)]
         if not tables:
             return {"flight": np.zeros(0, dtype=np.int64)}
         joined = self._arrow.concat_tables(tables)
@@ -104,6 +132,44 @@ class Store:
         first = first[columns["flight"][first] < flights]
         return {name: values[first] for name, values in columns.items()}
 
+    def _parts(self, controller: ControllerName) -> list[Path]:
+        return sorted((self.directory / FLIGHTS).glob(f"{controller}-????????-????????.parquet"))
+
+    def _flights(self, path: Path) -> None:
+        """Raise UserError if a file does not hold the flights that its name says."""
+        controller, first, last = path.stem.rsplit("-", 2)
+        try:
+            kept = self._parquet.ParquetFile(path)
+            names = set(kept.schema_arrow.names)
+            rows = kept.read()
+        except (OSError, ValueError) as error:
+            why = str(error).split(": ", 1)[-1].splitlines()[0]
+        else:
+            if names != COLUMNS:
+                why = f"its columns are {', '.join(sorted(names)[:3])}, ..."
+            elif set(rows["controller"].to_pylist()) == {controller} and rows["flight"].to_pylist() == list(
+                range(int(first), int(last) + 1)
+            ):
+                return
+            else:
+                why = "the flights in it have other numbers or another controller than its name says"
+        raise UserError(
+            f"{path}: is damaged or not of this campaign ({why}); remove it, and the same command flies its "
+            "flights again"
+        )
+
     def write_summary(self, summary: Any) -> None:
         """Keep the summary as summary.json."""
         self._write("summary.json", summary)
+
+
+def _replace(path: Path, write: Callable[[Path], object]) -> None:
+    """Write a file complete or not at all, even if the disk is full or the machine goes down."""
+    draft = path.with_suffix(".partial")
+    try:
+        write(draft)
+        with draft.open("rb") as file:
+            os.fsync(file.fileno())
+        os.replace(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
+import re
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +17,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from kffa_offboard import cli
-from kffa_offboard.campaign import command, extras
+from kffa_offboard import __version__, cli
+from kffa_offboard.campaign import command, extras, store
 from kffa_offboard.campaign.engine import run_local
 from kffa_offboard.campaign.settings import Campaign
 from kffa_offboard.campaign.store import Store
@@ -137,6 +140,117 @@ def test_another_campaign_is_not_mixed_in(plan: command.CampaignPlan) -> None:
     (plan.directory / "campaign.json").write_text("{", encoding="utf-8")
     with pytest.raises(UserError, match=r"campaign\.json: is damaged"):
         command.run_campaign(short)
+
+
+def test_flights_of_two_versions_are_not_mixed(
+    plan: command.CampaignPlan, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.run_campaign(replace(plan, flights=2)) == 0
+    before = (plan.directory / "campaign.json").read_bytes()
+    monkeypatch.setattr(store, "__version__", "9.8.7")
+    for more in ({"flights": 8}, {"compare": "pid", "flights": 2}):
+        with pytest.raises(
+            UserError,
+            match=rf"kffa-offboard {re.escape(__version__)}, and this is 9\.8\.7; choose another dir",
+        ):
+            command.run_campaign(replace(plan, **more))
+    assert (plan.directory / "campaign.json").read_bytes() == before
+    assert command.run_campaign(replace(plan, flights=2, directory=plan.directory.with_name("new"))) == 0
+
+
+def test_a_directory_of_another_version_without_flights_is_taken(
+    plan: command.CampaignPlan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plan.directory.mkdir()
+    nothing = {"version": "0.0.1", "controllers": {}}
+    (plan.directory / "campaign.json").write_text(json.dumps(nothing), encoding="utf-8")
+    assert command.run_campaign(replace(plan, flights=2)) == 0
+
+
+@pytest.mark.parametrize("text", ["[]", "{}", '{"controllers": 3}', "null"])
+def test_a_manifest_that_is_none_is_one_line(plan: command.CampaignPlan, text: str) -> None:
+    plan.directory.mkdir()
+    (plan.directory / "campaign.json").write_text(text, encoding="utf-8")
+    with pytest.raises(UserError, match=r"campaign\.json: is damaged \(it names no controllers\); choose"):
+        command.run_campaign(replace(plan, flights=2))
+
+
+def test_flights_without_a_manifest_are_nobodys(
+    plan: command.CampaignPlan, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.run_campaign(replace(plan, flights=2)) == 0
+    (plan.directory / "campaign.json").unlink()
+    with pytest.raises(UserError, match=r"holds flights and no campaign\.json that says what was flown; ch"):
+        command.run_campaign(replace(plan, flights=2, seed=5))
+
+
+def _cut(path: Path, other: Path) -> None:
+    os.truncate(path, 3000)
+
+
+def _empty(path: Path, other: Path) -> None:
+    os.truncate(path, 0)
+
+
+def _swap(path: Path, other: Path) -> None:
+    path.write_bytes(other.read_bytes())
+
+
+def _replace_by_a_directory(path: Path, other: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def _foreign(path: Path, other: Path) -> None:
+    arrow: Any = pytest.importorskip("pyarrow")
+    parquet.write_table(arrow.table({"x": [1, 2]}), path)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "why"),
+    [
+        (_cut, "Parquet magic bytes not found"),
+        (_empty, "Parquet file size is 0 bytes"),
+        (_swap, "have other numbers or another controller"),
+        (_replace_by_a_directory, "directory"),
+        (_foreign, "its columns are x"),
+    ],
+)
+def test_a_file_that_is_damaged_or_foreign_is_named_and_flown_again_once_removed(
+    plan: command.CampaignPlan,
+    capsys: pytest.CaptureFixture[str],
+    spoil: Callable[[Path, Path], None],
+    why: str,
+) -> None:
+    assert command.run_campaign(plan) == 0
+    ours = summary_of(capsys)
+    first, second = sorted((plan.directory / "flights").iterdir())[:2]
+    spoil(first, second)
+    with pytest.raises(
+        UserError, match=r"is damaged or not of this campaign .* remove it, and the same"
+    ) as told:
+        command.run_campaign(plan)
+    assert why in str(told.value) and str(first) in str(told.value)
+    first.rmdir() if first.is_dir() else first.unlink()
+    assert command.run_campaign(plan) == 0
+    assert summary_of(capsys) == ours
+
+
+def test_a_full_disk_is_one_line_and_leaves_what_was_there(
+    plan: command.CampaignPlan, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert command.run_campaign(replace(plan, flights=6)) == 0
+    before = {path: path.read_bytes() for path in plan.directory.rglob("*") if path.is_file()}
+
+    def full(number: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", full)
+        with pytest.raises(UserError, match=r"No space left on device; make room, and the same command goes"):
+            command.run_campaign(replace(plan, flights=7))
+    assert {path: path.read_bytes() for path in plan.directory.rglob("*") if path.is_file()} == before
+    assert command.run_campaign(replace(plan, flights=7)) == 0
 
 
 def test_one_flight_alone_is_the_one_of_the_campaign(

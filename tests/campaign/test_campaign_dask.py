@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import kffa_offboard
 from kffa_offboard.campaign import engine
 from kffa_offboard.campaign.engine import run_dask
 from kffa_offboard.campaign.settings import Campaign
@@ -95,3 +97,20 @@ def test_no_scheduler_or_no_worker_is_said_in_a_line(
     monkeypatch.setattr(engine, "CONNECT_S", 10)
     with pytest.raises(UserError, match="the cluster has no worker; start some with `dask worker"):
         next(run_dask(campaign, work, scheduler))
+
+
+@pytest.mark.timeout(300)
+def test_a_worker_of_another_version_is_refused(
+    scheduler: str, campaign: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (
+        worker(scheduler, tmp_path),
+        distributed.Client(scheduler, set_as_default=False) as client,
+    ):
+        client.wait_for_workers(1, timeout=STARTED_S)
+        theirs = re.escape(kffa_offboard.__version__)
+        monkeypatch.setattr(kffa_offboard, "__version__", "9.8.7")
+        with pytest.raises(
+            UserError, match=rf"has kffa-offboard {theirs}, and this is 9\.8\.7; install the same"
+        ):
+            next(run_dask(campaign, list(tasks(campaign, 1, 1)), scheduler))
