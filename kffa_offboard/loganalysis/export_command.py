@@ -6,10 +6,10 @@ from pathlib import Path
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.parts import following_parts
-from kffa_offboard.flightlog.plot import csv_lines
+from kffa_offboard.flightlog.plot import TIME_KEY, csv_lines
 from kffa_offboard.flightlog.signals import ARRAY_ID, LIVE_ARRAY_ID, SignalRows, SignalTable, is_signals
 from kffa_offboard.flightlog.tlog import SIGNAL_KINDS, read_tlog
-from kffa_offboard.loganalysis.output_files import refuse_inputs
+from kffa_offboard.loganalysis.output_files import refuse_others
 
 
 def run_export(log: Path, out: Path | None) -> int:
@@ -18,7 +18,7 @@ def run_export(log: Path, out: Path | None) -> int:
     Raises UserError for a log that cannot be read or holds no signals, and a file that cannot be written.
     """
     out = log.with_name(f"{log.name.removesuffix('.gz').removesuffix('.tlog')}.csv") if out is None else out
-    refuse_inputs(out, (log, *following_parts(log)))
+    refuse_others(out, (log, *following_parts(log)), begins=f"{TIME_KEY},")
     found = _signals(log)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)

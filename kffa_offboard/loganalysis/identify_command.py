@@ -15,15 +15,19 @@ from kffa_offboard.loganalysis.fit import Estimate
 from kffa_offboard.loganalysis.identify import Identification, identify
 from kffa_offboard.loganalysis.mass import USUAL_DELAY_S, steady_hover_thrust, track_mass
 from kffa_offboard.loganalysis.model_file import as_toml, model_tables
-from kffa_offboard.loganalysis.output_files import refuse_inputs, write_text
+from kffa_offboard.loganalysis.output_files import refuse_others, write_text
 from kffa_offboard.loganalysis.read import read_log
 from kffa_offboard.loganalysis.record import FlightRecord
+
+HEAD = "Identified by kffa-offboard"
+"""With which the comment at the head of a model begins."""
 
 
 def run_identify(logs: list[Path], out: Path | None, link_delay_s: float, as_json: bool) -> int:
     """Do it; exit status 0 if a channel was identified, 1 if none was."""
     if out is not None:
-        refuse_inputs(out, [part for log in logs for part in (log, *following_parts(log))])
+        read = [part for log in logs for part in (log, *following_parts(log))]
+        refuse_others(out, read, begins=f"# {HEAD}")
     records = [read_log(log) for log in without_parts(logs)]
     if len({record.commands_sent for record in records}) > 1:
         raise UserError(
@@ -70,9 +74,7 @@ def _head(logs: list[Path], found: Identification, link_delay_s: float, warnings
         delay = (
             f"delay_s is that of the vehicle alone plus {link_delay_s:g} s for the link (--link-delay-ms)."
         )
-    return f"Identified by kffa-offboard from {', '.join(log.name for log in logs)}.\n" + "\n".join(
-        [delay, *warnings]
-    )
+    return f"{HEAD} from {', '.join(log.name for log in logs)}.\n" + "\n".join([delay, *warnings])
 
 
 def _span(estimate: Estimate) -> str:

@@ -18,12 +18,29 @@ def make_directory(path: Path) -> Path:
     return path
 
 
-def refuse_inputs(out: Path, inputs: Sequence[Path]) -> None:
-    """Raises UserError if writing `out` would destroy one of the files that are read, or any flight log."""
+def refuse_others(out: Path, inputs: Sequence[Path], begins: str) -> None:
+    """Raises UserError if writing `out` would destroy a file that is read, a flight log or what is of others.
+
+    What a command writes begins with `begins`; earlier results may be written over.
+    """
     if any(out.resolve() == path.resolve() for path in inputs):
         raise UserError(f"--out {out}: is what is to be read, which would be lost; name another file")
     if out.is_file() and is_flight_log(out):
         raise UserError(f"--out {out}: is a flight log, which would be lost; name another file")
+    try:
+        with out.open("rb") as file:
+            found = file.read(len(begins.encode())) if out.is_file() else b""
+    except OSError:
+        return  # whoever opens it for writing says why
+    if found and found != begins.encode():
+        raise UserError(
+            f"--out {out}: is there and begins with {_shown(found)}, not with {begins!r} as what this "
+            "command writes; it would be lost; name another file"
+        )
+
+
+def _shown(begin: bytes) -> str:
+    return repr(begin.decode(errors="replace").splitlines()[0])
 
 
 def write_text(path: Path, text: str) -> None:

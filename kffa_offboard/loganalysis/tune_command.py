@@ -18,11 +18,15 @@ from kffa_offboard.control.controllers import CHANNELS
 from kffa_offboard.errors import UserError
 from kffa_offboard.loganalysis.margins import Wanted
 from kffa_offboard.loganalysis.model_file import as_toml, merged
-from kffa_offboard.loganalysis.output_files import make_directory, write_text
+from kffa_offboard.loganalysis.output_files import make_directory, refuse_others, write_text
 from kffa_offboard.loganalysis.tune import AltitudeChoice, TunedChannel, Tuning, tune
 
 RANGE_SHARE = 0.2
 """omega_c_range, the fuzzy rules' play, as a share of omega_c."""
+
+
+HEAD = "Tuned by kffa-offboard"
+"""With which the comment at the head of the tuned tables begins."""
 
 
 def run_tune(
@@ -35,9 +39,10 @@ def run_tune(
     tuning = tune(control, channels, period_s, wanted, peak_m, with_trade_off=True)
     tuned = list(tuning.channels)
     make_directory(out)
+    refuse_others(out / "tuned.toml", [model], begins=f"# {HEAD}")
     tables = tuned_tables(given, control, tuned)
     comments = {_table_name(control, channel): [_describe(channel)] for channel in tuned}
-    head = f"Tuned by kffa-offboard from {model.name}: put these tables into your configuration."
+    head = f"{HEAD} from {model.name}: put these tables into your configuration."
     write_text(out / "tuned.toml", as_toml(tables, comments, head))
     # matplotlib and python-control are slow to import
     from kffa_offboard.loganalysis.tune_figure import draw, draw_trade_off

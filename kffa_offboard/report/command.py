@@ -9,7 +9,7 @@ from pathlib import Path
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.parts import without_parts
-from kffa_offboard.loganalysis.output_files import refuse_inputs
+from kffa_offboard.loganalysis.output_files import refuse_others
 from kffa_offboard.report.align import Alignment
 from kffa_offboard.report.flight import Flight
 from kffa_offboard.report.read import read_any, short_name
@@ -31,7 +31,7 @@ def run_report(plan: ReportPlan) -> int:
     Raises UserError for a log that cannot be read or has no flight in it, and for a file that cannot be
     written.
     """
-    refuse_inputs(plan.out, plan.logs)
+    refuse_others(plan.out, plan.logs, begins="<!DOCTYPE html>")
     logs = without_parts(plan.logs)
     flights = [read_any(log, name) for log, name in zip(logs, distinct_names(logs), strict=True)]
     from kffa_offboard.report.page import render

@@ -156,6 +156,31 @@ def test_no_command_writes_its_results_over_any_flight_log(
         assert other.read_bytes() == recorded
 
 
+@pytest.mark.parametrize("command", ["report", "export", "identify"])
+def test_no_command_writes_its_results_over_what_it_has_not_written(
+    command: str, log_files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "my-vehicle.toml"
+    mine.write_text('[link]\nurl = "udpin:127.0.0.1:14540"\n', encoding="utf-8")
+    before = mine.read_bytes()
+    with pytest.raises(SystemExit) as ended:
+        cli.main([command, str(log_files["tlog"]), "--out", str(mine)])
+    assert ended.value.code == 2
+    said = capsys.readouterr().err
+    assert said.startswith(f"error: --out {mine}: is there and begins with '[link]', not with ")
+    assert said.endswith("it would be lost; name another file\n")
+    assert mine.read_bytes() == before
+
+
+def test_identify_writes_its_model_over_an_older_model_and_into_an_empty_file(
+    log_files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    model = tmp_path / "model.toml"
+    for before in ("", "# Identified by kffa-offboard from older.tlog.\n"):
+        model.write_text(before, encoding="utf-8")
+        assert run_identify([log_files["tlog"]], model, 0.0, as_json=True) == 1  # nothing in it to identify
+
+
 def test_a_compressed_telemetry_log_is_read_whatever_its_name(
     log_files: dict[str, Path], tmp_path: Path
 ) -> None:
