@@ -11,6 +11,7 @@ import typer
 
 from kffa_offboard import __version__, cli_flights, cli_logs
 from kffa_offboard.cli_choices import Controller, OutputName
+from kffa_offboard.cli_usage import OneLineGroup
 from kffa_offboard.errors import UserError
 
 if TYPE_CHECKING:
@@ -20,6 +21,7 @@ USAGE_ERROR = 2
 
 app = typer.Typer(
     name="kffa-offboard",
+    cls=OneLineGroup,
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,

@@ -64,13 +64,13 @@ def _line(detail: ErrorDetails, model: type[BaseModel]) -> str:
             wrong = value.get("type") if isinstance(value, dict) else value
             return f"{path}: type = {toml_value(wrong)}: must be one of {_tags(model, location)}"
         case "value_error" if not location or isinstance(value, dict):
-            return f"{path + ': ' if path else ''}{_message(detail)}"
+            return f"{path + ': ' if path else ''}{finding(detail)}"
         case _:
-            return f"{path} = {toml_value(value)}: {_message(detail)}"
+            return f"{path} = {toml_value(value)}: {finding(detail)}"
 
 
-def _message(detail: ErrorDetails) -> str:
-    """pydantic's finding in words that need no knowledge of pydantic."""
+def finding(detail: ErrorDetails) -> str:
+    """What pydantic found, in words that need no knowledge of pydantic."""
     match detail["type"]:
         case "value_error":
             return str(detail["ctx"]["error"])
@@ -83,6 +83,8 @@ def _message(detail: ErrorDetails) -> str:
             return "must be true or false"
         case "int_type" | "int_parsing" | "int_from_float":
             return "must be a whole number"
+        case "float_type" | "float_parsing":
+            return "must be a number"
         case "greater_than_equal":
             return f"must be at least {detail['ctx']['ge']}"
         case "less_than_equal":

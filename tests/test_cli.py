@@ -80,6 +80,30 @@ def test_listening_to_the_network_needs_permission(capsys: pytest.CaptureFixture
     assert "set link.allow_remote = true" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (("campaign", "--flights", "0"), "--flights 0: must be at least 1; give 1 to 10000000"),
+        (("campaign", "--flights", "1e3"), "--flights 1e3: must be a whole number; give 1 to 10000000"),
+        (("campaign", "--seed", "-1"), "--seed -1: must be at least 0; give 0 or more"),
+        (("compare", "--load", "nan"), "--load nan: must be at most 6.73; give 0.1 to 6.73"),
+        (("compare", "--load", "5kg"), "--load 5kg: must be a number; give 0.1 to 6.73"),
+        (("run", "--config", "a.toml", "--output", "x"), "--output x: 'x' is not one of 'rates', 'attitude'"),
+    ],
+)
+def test_a_wrong_value_of_an_option_is_one_line_with_value_limit_and_remedy(
+    arguments: tuple[str, ...], line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert status_of(*arguments) == 2
+    assert capsys.readouterr().err == f"error: {line}\n"
+
+
+def test_a_missing_option_is_said_with_the_usage(capsys: pytest.CaptureFixture[str]) -> None:
+    assert status_of("run") == 2
+    said = capsys.readouterr().err
+    assert "Usage:" in said and "Missing option '--config'" in said
+
+
 def test_a_log_that_exists_is_never_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     log = tmp_path / "flight.tlog"
     log.write_bytes(b"precious")
