@@ -238,7 +238,9 @@ def run_lock_step(
         now_us = clock()
         limit_s = barrier_timeout_s if session.connected else connect_timeout_s
         if now_us - waiting_since_us >= limit_s * 1e6:
-            raise stopped_clock(session, limit_s) if session.connected else no_vehicle(session, limit_s)
+            if session.connected:
+                raise stopped_clock(session, limit_s)
+            raise no_lock_step(session, limit_s) if loop.ignored else no_vehicle(session, limit_s)
         if stop.is_set() and loop.time_us is None:
             break
         if loop.time_us is None and now_us >= hello_due_us:
@@ -261,6 +263,14 @@ class _LockStep:
         self._let_go_by_us: int | None = None
         self.time_us: int | None = None
         self.ended = False
+
+    @property
+    def ignored(self) -> bool:
+        """The vehicle sends heartbeats and has never asked for an answer: its time does not wait for us."""
+        return self.time_us is None and any(
+            message.get_type() == "HEARTBEAT" and self._session.route.from_target(message)
+            for message in self._waiting
+        )
 
     def say_hello(self) -> None:
         """Let a vehicle that waits to be addressed know where we are.
@@ -321,6 +331,14 @@ def no_vehicle(session: Session, timeout_s: float) -> UserError:
     elif session.link.trouble:
         hint = f"{hint} ({session.link.trouble})"
     return UserError(f"no vehicle answered on {session.link.name} for {timeout_s:g} s; {hint}")
+
+
+def no_lock_step(session: Session, timeout_s: float) -> UserError:
+    """Say in one line that there is a vehicle, and that its time does not wait for us."""
+    return UserError(
+        f"lock-step: the vehicle on {session.link.name} sends HEARTBEAT and no TIMESYNC request in "
+        f"{timeout_s:g} s, so it is not in lock-step; start sim-vehicle with --lockstep, or leave it out here"
+    )
 
 
 def stopped_clock(session: Session, timeout_s: float) -> UserError:

@@ -301,6 +301,21 @@ def test_a_vehicle_that_never_answers_is_explained():
     assert link.now_us == pytest.approx(10_000_000, abs=2e5)
 
 
+def test_a_vehicle_that_is_not_in_lock_step_is_called_so(autopilot, scripted):
+    frames = [autopilot.pack(autopilot.heartbeat()), autopilot.pack(autopilot.attitude(100, 0.1))]
+    link = SilentLink([Datagram(0, data, "vehicle") for data in frames])
+    with pytest.raises(
+        UserError,
+        match=r"lock-step: the vehicle on udpin:.*:14540 sends HEARTBEAT and no TIMESYNC request in 10 s, so "
+        r"it is not in lock-step; start sim-vehicle with --lockstep, or leave it out here",
+    ):
+        run(FakeService(slots=10**6), link, link.clock)
+    other = scripted(system=7)
+    link = SilentLink([Datagram(0, other.pack(other.heartbeat()), "vehicle")])
+    with pytest.raises(UserError, match=r"no vehicle answered on .* heard only 7/1"):
+        run(FakeService(slots=10**6), link, link.clock)
+
+
 def test_barriers_that_stop_coming_are_explained(autopilot):
     link = SilentLink([Datagram(0, data, "vehicle") for data in flight(autopilot, 2)])
     with pytest.raises(UserError, match=r"no TIMESYNC request .* for 5 s; is the simulated vehicle still"):
