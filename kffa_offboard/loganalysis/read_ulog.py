@@ -10,16 +10,19 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pyulog import ULog
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.loganalysis.record import Array, FlightRecord, Note, Series, empty, series
 from kffa_offboard.mavlink import frames
+from kffa_offboard.mavlink.vehicle import MULTIROTORS
 
 _TOPICS = [
     "vehicle_attitude",
@@ -32,6 +35,10 @@ _TOPICS = [
     "vehicle_status",
     "vehicle_land_detected",
 ]
+UNKNOWN, ROTARY_WING = 0, 1
+VEHICLE_TYPES = {2: "fixed-wing vehicle", 3: "rover", 4: "airship"}
+"""vehicle_status.vehicle_type."""
+
 MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES, _RECORD_BYTES = 16, 3
 
@@ -90,13 +97,16 @@ def _load(path: Path) -> ULog:
 def read(path: Path) -> FlightRecord:
     """Read a ULog.
 
-    Raises UserError for a file that is none, or one without attitude in it.
+    Raises UserError for a file that is none, one of another vehicle than a multirotor, or one without
+    attitude in it.
     """
     log = _load(path)
     topics: dict[str, dict[str, Any]] = {}
     for item in log.data_list:
         if item.multi_id == 0:
             topics.setdefault(item.name, item.data)
+    if (other := _other_vehicle(topics.get("vehicle_status", {}))) is not None:
+        raise UserError(f"{path}: is a log of {other}; only those of multirotors can be read")
 
     def same(values: Array) -> Array:
         return values
@@ -127,6 +137,21 @@ def read(path: Path) -> FlightRecord:
         autopilot="px4",
         damage=_damage(log, path),
     )
+
+
+def _other_vehicle(status: dict[str, Any]) -> str | None:
+    """What flew, if it was no multirotor: vehicle_status.system_type is a MAV_TYPE; older is vehicle_type."""
+    for field, right, names in (
+        ("system_type", MULTIROTORS, {n: entry.name for n, entry in mavlink.enums["MAV_TYPE"].items()}),
+        ("vehicle_type", (ROTARY_WING,), VEHICLE_TYPES),
+    ):
+        kinds = {int(kind) for kind in status.get(field, ()) if math.isfinite(kind)} - {UNKNOWN}
+        wrong = sorted(kinds.difference(right))
+        if wrong:
+            return f"a {names.get(wrong[0], f'vehicle with {field} {wrong[0]}')}"
+        if kinds:
+            return None
+    return None
 
 
 def _damage(log: ULog, path: Path) -> tuple[str, ...]:

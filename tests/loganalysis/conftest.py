@@ -133,7 +133,8 @@ def write_dataflash(path: Path, flight: Flight) -> None:
     path.write_bytes(log.data)
 
 
-def write_ulog(path: Path, flight: Flight) -> None:
+def write_ulog(path: Path, flight: Flight, status: dict[str, int] | None = None) -> None:
+    """`status`: fields of vehicle_status that stay as they are; without it there is no such topic."""
     topics = {
         "vehicle_attitude": ("float[4] q", quaternion(flight.euler)),
         "vehicle_angular_velocity": ("float[3] xyz", flight.rates),
@@ -147,6 +148,9 @@ def write_ulog(path: Path, flight: Flight) -> None:
             np.stack([0.0 * flight.thrust, 0.0 * flight.thrust, -flight.thrust], axis=1),
         ),
     }
+    if status:
+        fixed = np.tile(np.array([*status.values()], dtype=float), (len(flight.time_s), 1))
+        topics["vehicle_status"] = (";".join(f"float {name}" for name in status), fixed)
     data = bytearray(b"ULog\x01\x12\x35\x01" + struct.pack("<Q", 0))
 
     def put(kind: str, body: bytes) -> None:
@@ -190,3 +194,15 @@ def reported_tlog(tmp_path_factory: pytest.TempPathFactory, flight: Flight) -> P
     path = tmp_path_factory.mktemp("logs") / "station.tlog"
     write_tlog(path, flight, sent=False)
     return path
+
+
+@pytest.fixture
+def ulog_of(tmp_path: Path, flight: Flight) -> Callable[..., Path]:
+    """The same flight as a PX4 log whose vehicle_status has these fields."""
+
+    def write(**status: int) -> Path:
+        path = tmp_path / "flight.ulg"
+        write_ulog(path, flight, status)
+        return path
+
+    return write

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gzip
 import os
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -130,6 +131,34 @@ def test_no_damage_crashes_or_hangs_a_reader(kind: str, log_files: dict[str, Pat
             assert "\n" not in str(error)
         else:
             assert np.all(np.diff(record.attitude.time_s) > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("status", "what"),
+    [
+        ({"system_type": 1, "vehicle_type": 2}, "a MAV_TYPE_FIXED_WING"),
+        ({"system_type": 21, "vehicle_type": 1}, "a MAV_TYPE_VTOL_TILTROTOR"),
+        ({"system_type": 0, "vehicle_type": 2}, "a fixed-wing vehicle"),
+        ({"vehicle_type": 3}, "a rover"),
+        ({"vehicle_type": 9}, "a vehicle with vehicle_type 9"),
+        ({"system_type": 250}, "a vehicle with system_type 250"),
+    ],
+)
+def test_a_px4_log_of_another_vehicle_than_a_multirotor_is_called_so(
+    ulog_of: Callable[..., Path], status: dict[str, int], what: str
+) -> None:
+    with pytest.raises(UserError, match=f"is a log of {what}; only those of multirotors can be read"):
+        read_log(ulog_of(**status))
+
+
+@pytest.mark.parametrize(
+    "status",
+    [{"system_type": 2, "vehicle_type": 1}, {"system_type": 0, "vehicle_type": 0}, {"system_type": 13}],
+)
+def test_a_px4_log_of_a_multirotor_or_of_a_vehicle_that_is_not_known_is_read(
+    ulog_of: Callable[..., Path], status: dict[str, int]
+) -> None:
+    assert read_log(ulog_of(**status)).attitude.time_s.size > 100
 
 
 def test_identify_never_writes_its_model_over_a_log(log_files: dict[str, Path]) -> None:
