@@ -63,7 +63,7 @@ def _draw_failures(
     inside = np.clip(np.digitize(values, edges) - 1, 0, _BINS - 1)
     count = np.bincount(inside, minlength=_BINS)
     share = 100.0 * np.bincount(inside, weights=failed, minlength=_BINS) / np.maximum(count, 1)
-    axis.stairs(share, edges, color=colour, label=label, linewidth=1.6)
+    axis.stairs(share, edges, color=colour, label=label, linewidth=1.6, zorder=2.0)  # above the grid
 
 
 def draw_single(path: Path, campaign: Campaign, flights: Sequence[SingleFlight]) -> None:
