@@ -21,6 +21,9 @@ from sim_vehicle.config import SimConfig
 from sim_vehicle.errors import SimulatorError
 from sim_vehicle.truth import FIRST_LINE, TruthFile, TruthRecorder
 
+LONGEST_S = 1e9
+"""Most seconds of --duration; without it, the flight has no end."""
+
 EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
@@ -93,8 +96,9 @@ def run(
             configuration.load(config, overrides) if config else configuration.build(overrides, "options")
         )
         _check_options(settings, link, personality, speedup)
-        if duration is not None and not duration > 0.0:
-            raise SimulatorError(f"--duration {duration:g}: not above zero; give seconds of simulated time")
+        if duration is not None and not 0.0 < duration <= LONGEST_S:
+            wrong = f"above {LONGEST_S:g}" if duration > LONGEST_S else "not above zero"
+            raise SimulatorError(f"--duration {duration:g}: {wrong}; give seconds of simulated time")
         _fly(settings, truth, duration)
     except SimulatorError as problem:
         _give_up(str(problem))

@@ -165,7 +165,7 @@ class Store:
 
 def _replace(path: Path, write: Callable[[Path], object]) -> None:
     """Write a file complete or not at all, even if the disk is full or the machine goes down."""
-    draft = path.with_suffix(".partial")
+    draft = path.with_suffix(f".{os.getpid()}.partial")  # a second process may fly the same
     try:
         write(draft)
         with draft.open("rb") as file:

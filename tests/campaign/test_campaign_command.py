@@ -253,6 +253,25 @@ def test_a_full_disk_is_one_line_and_leaves_what_was_there(
     assert command.run_campaign(replace(plan, flights=7)) == 0
 
 
+def test_two_processes_that_write_one_file_leave_it_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "flights.parquet"
+
+    def write_while_another_does(draft: Path) -> None:
+        with draft.open("w", encoding="ascii") as file:
+            file.write("one ")
+            file.flush()
+            with monkeypatch.context() as other:
+                other.setattr(os, "getpid", lambda: 1)
+                store._replace(path, lambda theirs: theirs.write_text("one and two", encoding="ascii"))
+            file.write("and two")
+
+    store._replace(path, write_while_another_does)
+    assert path.read_text(encoding="ascii") == "one and two"
+    assert list(tmp_path.iterdir()) == [path]
+
+
 def test_one_flight_alone_is_the_one_of_the_campaign(
     plan: command.CampaignPlan, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from sim_vehicle import cli
 from sim_vehicle.cli import app
-from sim_vehicle.truth import COLUMNS
+from sim_vehicle.truth import COLUMNS, TruthRecorder
 
 CONFIG = Path(__file__).parents[2] / "configs" / "sim-px4.toml"
 ANY = "udpin:127.0.0.1:0"
@@ -55,6 +56,7 @@ def test_options_choose_personality_and_links():
         (["--link", "udpin:localhost"], "link.endpoints = 'udpin:localhost': not of the form"),
         (["--seed", "-3"], "vehicle.seed = -3: too small"),
         (["--duration", "0"], "--duration 0: not above zero"),
+        (["--duration", "inf"], "--duration inf: above 1e+09; give seconds of simulated time"),
         (["--link", ANY, "--truth", str(CONFIG)], f"--truth {CONFIG}: is there and holds no true states"),
         (["--link", ANY, "--truth", "/nowhere/at/all.csv"], "--truth /nowhere/at/all.csv: cannot be written"),
     ],
@@ -103,6 +105,14 @@ def test_ctrl_c_ends_cleanly_with_the_truth_written(tmp_path, number, status):
     assert process.returncode == status
     assert errors == ""
     assert truth.read_text().startswith("time_s,x,y,z,")
+
+
+def test_without_a_file_true_states_are_let_go() -> None:
+    recorder = TruthRecorder()
+    with cli._truth_file(None, recorder) as let_go:
+        recorder.record(0, [0.0] * 12, 0.0, 0.0, False, "external")
+        let_go()
+        assert recorder.rows == []
 
 
 def test_help_explains_run():
