@@ -98,7 +98,7 @@ class ArdupilotVehicle:
         self._gripper = GripperState()
         self._channels = max(*section.motor_channels, section.gripper_channel)
         self._peer: Hashable | None = None
-        self._retired: Hashable | None = None
+        self._retired: set[Hashable] = set()
         self._frame_count = -1
         self._origin_us = 0
         self._answer: Answer | None = None
@@ -127,7 +127,7 @@ class ArdupilotVehicle:
 
     def _parse(self, peer: Hashable, data: bytes) -> ServoPacket | None:
         """The packet, or None (with a notice, once for each sender) if it is not one to answer."""
-        if peer == self._retired:
+        if peer in self._retired:
             self._complain(peer, "another firmware has taken over; stop one of them")
             return None
         try:
@@ -171,8 +171,8 @@ class ArdupilotVehicle:
 
     def _restart(self, peer: Hashable) -> None:
         self.counters.restarts += 1
-        if peer != self._peer:
-            self._retired = self._peer
+        if peer != self._peer and self._peer is not None:
+            self._retired.add(self._peer)
         self._origin_us = self.plant.time_us
         self._gripper = GripperState()
         at = f"{self.plant.time_us * 1e-6:.2f} s"

@@ -302,6 +302,17 @@ def test_a_firmware_that_was_replaced_is_not_answered_any_more():
     assert first.vehicle.counters.restarts == 1
 
 
+def test_of_three_firmwares_at_one_port_the_newest_flies_and_the_others_do_not_take_turns():
+    first = flying()
+    second, third = (FakeFirmware(first.vehicle, name) for name in ("second", "third"))
+    second.frame()
+    third.frame()
+    for _ in range(3):
+        assert first.vehicle.receive([("firmware", first.packet()), ("second", second.packet())]) is None
+        third.frame()
+    assert first.vehicle.counters.restarts == 2
+
+
 def test_physics_that_comes_late_takes_the_count_as_it_is():
     firmware = FakeFirmware(vehicle())
     firmware.frame_count = 12345
