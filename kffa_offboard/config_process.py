@@ -22,7 +22,7 @@ class ProcessSettings:
     ----------
     reengage : with --engage, take control again after a restart in flight
     late_step_s : from when on a control step is late
-    dead_man_switch : a process of its own sends a level setpoint if this one dies in control
+    dead_man_switch : a process of its own sends a level setpoint if this one dies or hangs in control
     """
 
     reengage: bool = False

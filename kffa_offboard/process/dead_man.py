@@ -1,9 +1,9 @@
-"""A dead man's switch: if the daemon dies while it has control, a process of its own says its last words.
+"""A dead man's switch: if the daemon dies or hangs in control, a process of its own says its last words.
 
 `kill -9`, a crash of the interpreter, or the memory's end leave no time for a last setpoint, and the
 autopilot would fly the last body rates on until its own timeout. So a small process keeps what would have to
 be said, a tenth of a second old at most, and the way to the vehicle. It learns of the end from the kernel,
-which closes the channel between the two, whatever the reason.
+which closes the channel between the two, whatever the reason; and of a daemon that hangs from its silence.
 """
 
 from __future__ import annotations
@@ -20,7 +20,6 @@ from kffa_offboard.process import dead_man_child
 PERIOD_S = 0.1
 """So often the words are brought up to date."""
 
-NOTHING = b"\n"
 PATIENCE_S = 1.0
 
 Posting: TypeAlias = tuple[int, bytes, tuple[str, int] | None]
@@ -71,7 +70,7 @@ class DeadManSwitch:
         if not self._words.has_control:
             if self._told:
                 self._told = False
-                return self._tell(NOTHING, ())
+                return self._tell(dead_man_child.NOTHING, ())
             return None
         now_s = time.monotonic()
         if self._told and now_s < self._due_s:
@@ -79,7 +78,7 @@ class DeadManSwitch:
         posting = self._words.posting()
         self._told, self._due_s = True, now_s + PERIOD_S
         if posting is None:
-            return self._tell(NOTHING, ())
+            return self._tell(dead_man_child.NOTHING, ())
         descriptor, data, place = posting
         host, port = place or ("", 0)
         return self._tell(b"%s\n%d\n%s" % (host.encode(), port, data), (descriptor,))
@@ -88,7 +87,7 @@ class DeadManSwitch:
         try:
             socket.send_fds(self._channel, [packet], descriptors)
         except BlockingIOError:
-            return None  # it has not run for seconds; the words that it has will be too old
+            return None  # it has not run for seconds, and has enough to read
         except OSError as error:
             trouble, self._trouble = not self._trouble, True
             return f"dead man's switch: {(error.strerror or str(error)).lower()}" if trouble else None
@@ -98,7 +97,7 @@ class DeadManSwitch:
         """The daemon ends as it should: there is nothing to say. May be called twice."""
         if self._channel.fileno() < 0:
             return
-        self._tell(NOTHING, ())
+        self._tell(dead_man_child.NOTHING, ())
         self._channel.close()
         try:
             self._process.wait(PATIENCE_S)

@@ -12,8 +12,8 @@ import time
 
 import pytest
 
-from kffa_offboard.process import dead_man_child
 from kffa_offboard.process.dead_man import DeadManSwitch
+from kffa_offboard.process.dead_man_child import IGNORED, LATE_S
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="needs Linux")
 
@@ -86,17 +86,31 @@ def test_a_stream_that_was_opened_anew_is_written_to():
 
 
 GIVEN_UP = "words.has_control = False; assert switch.take_trouble() is None; "
-HUNG = f"time.sleep({dead_man_child.FRESH_S} + 0.3); "
 
 
 @pytest.mark.parametrize(
     "then",
-    [GIVEN_UP + KILLED, HUNG + KILLED, "switch.close()", "switch.close(); " + KILLED],
-    ids=["gave control up", "hung before", "ended well", "killed after its end"],
+    [GIVEN_UP + KILLED, GIVEN_UP + "time.sleep(1.0)", "switch.close()", "switch.close(); " + KILLED],
+    ids=["gave control up", "gave control up and hangs", "ended well", "killed after its end"],
 )
 def test_nothing_is_said_for_a_daemon_that(vehicle, then):
     live(UDP_OUT.format(port=vehicle.getsockname()[1]), POSTING, then)
     assert_silent(vehicle)
+
+
+@pytest.mark.parametrize("end", ["pass", KILLED], ids=["goes on", "dies"])
+def test_a_daemon_that_hangs_has_them_said_once_whatever_becomes_of_it(vehicle, end):
+    began = time.monotonic()
+    live(UDP_OUT.format(port=vehicle.getsockname()[1]), POSTING, f"time.sleep(4 * {LATE_S}); {end}")
+    assert time.monotonic() - began > 4 * LATE_S
+    assert vehicle.recv(100) == b"\n level \n"
+    assert_silent(vehicle)
+
+
+def test_a_daemon_that_went_on_after_a_pause_has_its_new_words_said(vehicle):
+    again = f"time.sleep(2 * {LATE_S}); assert switch.take_trouble() is None; {KILLED}"
+    live(UDP_OUT.format(port=vehicle.getsockname()[1]), POSTING, again)
+    assert [vehicle.recv(100), vehicle.recv(100)] == 2 * [b"\n level \n"]
 
 
 def test_nothing_is_said_where_there_is_nothing_to_say(vehicle):
@@ -144,8 +158,8 @@ def test_that_the_switch_is_gone_is_said_once(vehicle):
 
 def test_signals_for_the_whole_group_leave_it_alone(vehicle):
     port = vehicle.getsockname()[1]
-    everybody = "import time; time.sleep(0.5); " + "; ".join(
-        f"os.kill(switch._process.pid, signal.{number.name})" for number in dead_man_child.IGNORED
+    everybody = "time.sleep(0.2); " + "; ".join(
+        f"os.kill(switch._process.pid, signal.{number.name})" for number in IGNORED
     )
     live(UDP_OUT.format(port=port), POSTING, f"{everybody}; switch.take_trouble(); {KILLED}")
     assert vehicle.recv(100) == b"\n level \n"
