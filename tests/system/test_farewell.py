@@ -14,7 +14,8 @@ SCENARIO = (Takeoff(2.0, 1.5), Hold(0.5), Step("roll", 0.35, 5.0))
 
 def silenced(flight):
     """Fly until the vehicle rolls fast, then let nothing arrive; returns the largest tilt after that, deg."""
-    service = replace(flight.daemon.service, scenario=SCENARIO, failsafe_action="stop")
+    slow = replace(flight.daemon.service.sequence, resend_s=0.5)  # a level setpoint of its own while blind
+    service = replace(flight.daemon.service, scenario=SCENARIO, failsafe_action="stop", sequence=slow)
     flight.daemon = replace(flight.daemon, service=service)
     link_class = flight.link_to
 
