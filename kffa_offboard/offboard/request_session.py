@@ -116,6 +116,8 @@ class RequestSession(PayloadSession):
             self._external = external.lean(self._external, setpoint, time_us)
             return
         scenario, captured = self._flight.scenario, self._captured
+        if self._external is not None:  # since the last step the set point has moved on
+            scenario = external.hold(self._external, scenario, captured, time_us)
         x, y = captured[0] + scenario.offset[0], captured[1] + scenario.offset[1]
         here = (x, y, scenario.hold_altitude)
         flight = self.settings.flight

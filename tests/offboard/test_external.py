@@ -78,3 +78,21 @@ def test_a_stream_of_setpoints_that_cannot_be_flown_does_not_become_one_of_texts
         flight.give(PositionSetpoint((None, None, float(height))))
     assert len(flight.texts) == 20
     assert flight.texts[0] == "setpoint not followed: altitude 60 m is outside -3 .. 50"
+
+
+@pytest.mark.parametrize("after_us", [0, 5_000, 9_000])
+@pytest.mark.parametrize("often", [1, 10])
+def test_a_stream_of_places_that_move_is_followed_whenever_they_come(fake, after_us, often):
+    """Up to a thousand a second, long after a control step: the set point crept, and jumped at the end."""
+    flight = fake.Lockstep(fake.settings(scenario=(External(100.0),)), fake.airborne()).run_to(State.ENGAGED)
+    heights = []
+    for k in range(400):
+        for part in range(often):
+            asked = PositionSetpoint((None, None, 20.0 + 0.01 * k + 1e-3 * part))
+            flight.service.handle(flight.time_us + after_us, asked)
+        flight.tick()
+        heights.append(flight.service._flight.scenario.hold_altitude)
+    speeds = [(b - a) / 0.01 for a, b in pairwise(heights)]
+    assert speeds[-1] == pytest.approx(FLIGHT.setpoint_climb_rate_m_s, rel=0.01)
+    assert max(abs(b - a) for a, b in pairwise(speeds)) < 1.2 * 0.01 * FLIGHT.acceleration_m_s2
+    assert flight.altitudes[-1] > 5.0
