@@ -26,7 +26,7 @@ from kffa_offboard.offboard.horizontal import (
 )
 from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.telemetry import Telemetry, reported_target, reported_thrust
+from kffa_offboard.offboard.telemetry import Telemetry, before_silence, reported_target, reported_thrust
 
 _FRESH = np.array([True, True, True, True])
 _FRESH_ATTITUDE = np.array([True, True, True, False])
@@ -274,6 +274,7 @@ def _step_controller(
     if order.directive.align:
         controller = controllers.align_reference(parameters, controller)
     measured, new_position = _measurement(known), known.position.sample_time_us != loop.position_us
+    new_position = new_position and not before_silence(settings.telemetry, known, dt)
     horizontal, reference = step_horizontal(
         settings.position,
         loop.horizontal,

@@ -6,7 +6,8 @@ takes part of the weight.
 
 The estimate lives on thrust and climb rate that fit together. When they do not (thrust swings on a link that
 is too slow), changes are found that cannot be: a drop without a load, a load that no thrust lifts. From the
-first of these on nothing is said until no change has been found for `CALM_S`; then, what is carried.
+first of these on nothing is said until no change has been found for `CALM_S`; then, what is carried. The same
+after a silence, or samples that came late.
 """
 
 from __future__ import annotations
@@ -41,6 +42,7 @@ class PayloadSample(NamedTuple):
     fresh : the climb rate is new
     flying : the daemon's thrust flies the vehicle freely
     swinging : thrust swings, so that changes of the load are not to be believed
+    untimed : the step ends a silence, or its sample came late: which thrust acted when is not known
     """
 
     time_us: int
@@ -51,6 +53,7 @@ class PayloadSample(NamedTuple):
     fresh: bool
     flying: bool
     swinging: bool = False
+    untimed: bool = False
 
 
 class Load(NamedTuple):
@@ -155,7 +158,7 @@ def _estimate(
     )
     load = Load(float(estimate.mass), float(estimate.std))
     if sample.time_us - since_us < round(settings.settle_s * 1e6) and state.load is None:
-        if np.isfinite(estimator.suspected):  # it has just changed: begin anew
+        if np.isfinite(estimator.suspected) or sample.untimed:  # it has just changed: begin anew
             estimator = payload.accept(settings.estimator, estimator)
             state = state._replace(flying_since_us=sample.time_us)
         return state._replace(estimator=estimator), ()
@@ -200,7 +203,8 @@ def _watch_changes(
     """Put pick-up and drop into words."""
     time_us = sample.time_us
     doubtful = state.unrest_us is not None or sample.swinging
-    if change != 0.0 and (doubtful or not _believable(settings, state, load, change)):
+    unbelieved = change != 0.0 and (doubtful or not _believable(settings, state, load, change))
+    if unbelieved or sample.untimed:
         return state._replace(unrest_us=time_us, pick_up=None), ()
     if state.unrest_us is not None:
         return _watch_unrest(settings, state, load, time_us)

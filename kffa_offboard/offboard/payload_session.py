@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Literal
 
-from kffa_offboard.offboard import events
+from kffa_offboard.offboard import events, telemetry, trust
 from kffa_offboard.offboard.engage_session import EngageSession
 from kffa_offboard.offboard.events import Severity
 from kffa_offboard.offboard.guard import tilt_factor
@@ -173,18 +173,20 @@ class PayloadSession(EngageSession):
         if settings is None:
             return
         assert known.attitude is not None and known.position is not None
-        attitude = known.attitude.attitude
+        attitude, late_s = known.attitude.attitude, self.settings.telemetry.late_max_s
+        old = telemetry.before_silence(self.settings.telemetry, known, trace.dt)
         sample = PayloadSample(
             time_us=time_us,
             dt=trace.dt,
             thrust=float(trace.applied[3]) / tilt_factor(self.settings.limits, attitude),
             attitude=attitude,
             climb_rate=known.position.velocity[2],
-            fresh=known.position.sample_time_us != self._position_us,
+            fresh=known.position.sample_time_us != self._position_us and not old,
             flying=order.acting and order.airborne and not self._landing(),
             swinging=self._loop is not None
             and self._loop.carrying is not None
             and self._loop.carrying.swings,
+            untimed=max(trace.dt, trust.lateness_s(self._trust, time_us)) > late_s,
         )
         self._position_us = known.position.sample_time_us
         if self._awareness is None:

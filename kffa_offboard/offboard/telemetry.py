@@ -165,6 +165,17 @@ def receive_position(
     return known._replace(position=newest, position_stream=stream, steady_since_us=steady_us), sample
 
 
+def before_silence(settings: TelemetrySettings, known: Telemetry, dt: float) -> bool:
+    """The position is from before a silence that the attitude, `dt` s after the last one, has just ended.
+
+    Where the vehicle was then is not where it is now.
+    """
+    if known.attitude is None or known.position is None or dt <= settings.late_max_s:
+        return False
+    age_us = known.attitude.sample_time_us - known.position.sample_time_us
+    return age_us > microseconds(settings.late_max_s)
+
+
 def _steady_since(settings: TelemetrySettings, known: Telemetry, time_us: int) -> int | None:
     """Begin, keep or restart the unbroken stretch of telemetry: since when it lasts."""
     attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us

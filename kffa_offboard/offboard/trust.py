@@ -190,7 +190,7 @@ def _follow_delay(
     delay_us = time_us - sample_us
     if state.window_us is None:
         return Delay(time_us, delay_us, delay_us), None
-    excess_us = delay_us - min(state.smallest_us, state.former_us)
+    excess_us = _excess_us(state, delay_us)
     if excess_us > microseconds(settings.late_max_s):
         since_us = time_us if state.late_since_us is None else state.late_since_us
         fault = None
@@ -200,6 +200,18 @@ def _follow_delay(
     if time_us - state.window_us >= DELAY_WINDOW_US:
         return Delay(time_us, delay_us, state.smallest_us), None
     return Delay(state.window_us, min(state.smallest_us, delay_us), state.former_us), None
+
+
+def lateness_s(trust: Trust, time_us: int) -> float:
+    """How much later than lately the last attitude came, which arrived at `time_us`, s."""
+    last, state = trust.attitude.last, trust.attitude.delay
+    if last is None:
+        return 0.0
+    return _excess_us(state, time_us - last.sample_time_us) * 1e-6
+
+
+def _excess_us(state: Delay, delay_us: int) -> int:
+    return delay_us - min(state.smallest_us, state.former_us)
 
 
 def _euler_rates(event: AttitudeReceived) -> tuple[float, float]:
