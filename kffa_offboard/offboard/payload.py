@@ -128,6 +128,14 @@ def expect_drop(state: Awareness, load: float, moment_us: int) -> Awareness:
     return state._replace(expected=ExpectedDrop(load, moment_us))
 
 
+def weigh_anew(state: Awareness) -> Awareness:
+    """Another hover thrust gives another mass, which nobody picked up: begin as when flight begins.
+
+    The outcome of a commanded release is waited for first.
+    """
+    return state if state.expected is not None else Awareness(state.estimator, reported_us=state.reported_us)
+
+
 def call_off_drop(settings: PayloadSettings, state: Awareness) -> Awareness:
     """The release will not happen: the load is what it was."""
     expected = state.expected

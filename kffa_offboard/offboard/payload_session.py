@@ -23,12 +23,14 @@ from kffa_offboard.offboard.payload import (
     expect_drop,
     has_load,
     step_awareness,
+    weigh_anew,
 )
 from kffa_offboard.offboard.release import ReleasePlan, altitude_disturbance, plan_release, with_altitude_step
 from kffa_offboard.offboard.segments import Land
 from kffa_offboard.offboard.sequence import microseconds
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.state import SENDING, State
+from kffa_offboard.offboard.tuning import adopt
 
 GripperAction = Literal["grab", "release"]
 
@@ -167,6 +169,16 @@ class PayloadSession(EngageSession):
 
     # ----------------------------------------------------------------------------- load
 
+    def _retune(self, settings: ServiceSettings) -> None:
+        """Go on with other numbers; a hover thrust tells load and disturbance anew from the same thrust."""
+        before, self.settings = self.settings, settings
+        told, self._loop = self._loop, adopt(self._loop, before, settings)
+        if self._release_plan is not None and told is not None and self._loop is not None:
+            moved = altitude_disturbance(self._loop) - altitude_disturbance(told)
+            self._release_plan = replace(self._release_plan, before=self._release_plan.before + moved)
+        if self._awareness is not None and _hover(before) != _hover(settings):
+            self._awareness = weigh_anew(self._awareness)
+
     def _watch_payload(self, time_us: int, trace: Trace, order: Order) -> None:
         """Give the control step that was just made to payload awareness."""
         settings, known = self.settings.payload, self._known
@@ -210,3 +222,8 @@ class PayloadSession(EngageSession):
         height = self._loop.altitude - self._flight.scenario.ground
         low = height < self.settings.flight.slow_height_m
         return low and index < len(scenario) and isinstance(scenario[index], Land)
+
+
+def _hover(settings: ServiceSettings) -> float | None:
+    """What thrust is weighed with."""
+    return None if settings.payload is None else settings.payload.estimator.hover_thrust

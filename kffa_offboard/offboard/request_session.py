@@ -18,7 +18,6 @@ from kffa_offboard.offboard.reference import current_segment
 from kffa_offboard.offboard.segments import External
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.state import SENDING, State
-from kffa_offboard.offboard.tuning import adopt
 
 MOST_REASONS = 20
 """So many reasons for not following setpoints are said in one engagement: a stream has ever new ones."""
@@ -55,9 +54,7 @@ class RequestSession(PayloadSession):
         if refusal is not None and self.state in SENDING:
             self._emit(events.RequestRefused(refusal))
             return
-        settings = as_before(self.settings, settings)
-        self._loop = adopt(self._loop, self.settings, settings)
-        self.settings = settings
+        self._retune(as_before(self.settings, settings))
 
     def _on_link_measured(self, time_us: int, measured: events.LinkMeasured) -> None:
         """One late sample is jitter; two at successive measurements, or late answers, are a slow link."""

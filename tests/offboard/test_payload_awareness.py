@@ -8,7 +8,7 @@ import pytest
 from kffa_offboard.control import actuator
 from kffa_offboard.control.payload import PayloadParameters
 from kffa_offboard.offboard import events
-from kffa_offboard.offboard.events import ModeKind, PayloadReport, SetGripper
+from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, PayloadReport, SetGripper
 from kffa_offboard.offboard.payload import Load, PayloadSample, _watch_changes, begin_awareness
 from kffa_offboard.offboard.payload_settings import PayloadSettings
 from kffa_offboard.offboard.release import plan_release
@@ -222,6 +222,53 @@ def test_a_late_refusal_is_taken_back_too(fake):
     assert said(flight)[1:] == ["gripper refused: FAILED"]
     assert abs(flight.vehicle.position - HEIGHT) <= 0.01
     assert reports(flight)[-1].mass_kg == pytest.approx(5.0, abs=0.1)
+
+
+def retold(flight, share):
+    """The same with another hover thrust, as PARAM_SET of ALT_HOVER_THR gives it in flight."""
+    made = flight.service.settings
+    model, estimator = made.controller.model, made.payload.estimator
+    b0 = model.b0 / np.array([1.0, 1.0, 1.0, share])
+    return replace(
+        made,
+        hover_thrust=share * made.hover_thrust,
+        controller=replace(made.controller, model=replace(model, b0=b0)),
+        payload=replace(
+            made.payload, estimator=replace(estimator, hover_thrust=share * estimator.hover_thrust)
+        ),
+    )
+
+
+@pytest.mark.parametrize("share", [0.7, 1.15, 1.3])
+def test_a_late_refusal_is_taken_back_with_another_hover_thrust_too(fake, share):
+    """What the disturbance was before the release is then told by another model: thrust stepped by 0.2."""
+
+    def thrust_after_refusal(settings_of):
+        flight = hovering(fake, RELEASE, LOADED)
+        flight.mute = {events.CommandAnswered}
+        flight.run(3.0, lambda: bool(flight.sent(SetGripper)))
+        flight.run(0.5)
+        flight.mute = set()
+        flight.give(events.SettingsChanged(settings_of(flight)))
+        flight.give(events.CommandAnswered("gripper", 211, False, False, "FAILED"))
+        flight.run(0.02)
+        return flight.sent(AttitudeTarget)[-1][1].thrust
+
+    as_it_was = thrust_after_refusal(lambda flight: flight.service.settings)
+    assert thrust_after_refusal(lambda flight: retold(flight, share)) == pytest.approx(as_it_was, abs=0.02)
+
+
+@pytest.mark.parametrize(("share", "told"), [(0.8, "carrying 8.7 kg"), (1.1, "carrying 3.6 kg")])
+def test_another_hover_thrust_is_no_pick_up_and_no_drop(fake, share, told):
+    """Thrust is weighed with it, so the load is another one in words; nobody brought or took any."""
+    flight = hovering(fake, weight=LOADED, max_load_kg=None)
+    assert said(flight) == ["carrying 5.0 kg"]
+    flight.give(events.SettingsChanged(retold(flight, share)))
+    flight.run(3.0)
+    assert said(flight)[1:] == [told]
+    flight.vehicle.weight = 1.2
+    flight.run(1.0)
+    assert said(flight)[2].startswith("dropped"), "what really leaves is seen again"
 
 
 def test_a_gripper_without_a_load_is_only_worked(fake):
