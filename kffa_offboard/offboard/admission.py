@@ -16,6 +16,8 @@ from math import hypot, isnan
 
 import numpy as np
 
+from kffa_offboard.control import Array
+from kffa_offboard.control.controllers import CHANNELS, ControllerParameters
 from kffa_offboard.offboard import telemetry
 from kffa_offboard.offboard.course import course_problem
 from kffa_offboard.offboard.events import BatteryReported, LinkMeasured
@@ -37,6 +39,9 @@ class Bearable:
 
 LATENCY_TO_ENGAGE = Bearable(1.0, 1.5)
 LATENCY_IN_FLIGHT = Bearable(1.2, 2.0)
+
+PLANT_STEP, PLANT_STEP_DAMPING_PER_S, PLANT_STEP_S = 1.5, 1.0, 0.02
+"""What a number of the plant may change by at once in flight: times; 1/s of damping, s of delay or lag."""
 
 CARRYING_MARGIN = 1.05
 """More than the thrust that carries the vehicle by so much is needed to keep it where it is."""
@@ -153,6 +158,38 @@ def too_weak(limits: LimitSettings, thrust: float | None) -> str | None:
     if thrust is None or thrust * CARRYING_MARGIN <= limits.thrust_max:
         return None
     return f"thrust {thrust:.2f} carries the vehicle; thrust_max = {limits.thrust_max:g}"
+
+
+def too_far(
+    before: ControllerParameters, after: ControllerParameters, original: ControllerParameters
+) -> str | None:
+    """Why the plant's numbers must not go from `before` to `after` at once in flight; to `original` they may.
+
+    The law is only as good as its model: within `PLANT_STEP` of the right ones the simulated vehicle flies,
+    with 2.5 times the right natural frequency it tilts by 0.7 rad. In steps one sees where it leads.
+    """
+    if all(map(np.array_equal, _plant(after), _plant(original))):
+        return None
+    old, new = before.model, after.model
+    # A natural frequency is squared in b0 (`control.design`).
+    gain = np.where(old.stiffness > 0.0, PLANT_STEP**2, PLANT_STEP)
+    for what, a, b, share, least in (
+        ("b0", old.b0, new.b0, gain, 0.0),
+        ("damping", old.damping, new.damping, PLANT_STEP, PLANT_STEP_DAMPING_PER_S),
+        ("delay", before.actuator.delay, after.actuator.delay, PLANT_STEP, PLANT_STEP_S),
+        ("lag", before.actuator.lag, after.actuator.lag, PLANT_STEP, PLANT_STEP_S),
+    ):
+        smaller, larger = np.minimum(a, b), np.maximum(a, b)
+        far = larger > np.maximum(share * smaller, smaller + least) * (1.0 + 1e-9)
+        for k in np.flatnonzero(far):
+            change = f"{CHANNELS[k]}: {what} from {a[k]:.3g} to {b[k]:.3g}"
+            return f"{change}; go in steps of {PLANT_STEP:g} times at most"
+    return None
+
+
+def _plant(parameters: ControllerParameters) -> tuple[Array, ...]:
+    model, acting = parameters.model, parameters.actuator
+    return model.b0, model.damping, model.stiffness, acting.delay, acting.lag
 
 
 def empty(limits: LimitSettings, battery: BatteryReported | None) -> str | None:

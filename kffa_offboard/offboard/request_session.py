@@ -51,6 +51,7 @@ class RequestSession(PayloadSession):
         refusal = admission.unbearable(self.settings, settings, self._known, latency_s, self._link, time_us)
         if self._loop is not None and self._loop.carrying is not None:
             refusal = refusal or admission.too_weak(settings.limits, self._loop.carrying.thrust)
+        refusal = refusal or admission.too_far(self.settings.controller, settings.controller, self._original)
         if refusal is not None and self.state in SENDING:
             self._emit(events.RequestRefused(refusal))
             return

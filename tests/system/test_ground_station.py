@@ -114,6 +114,15 @@ def test_a_plant_parameter_set_in_flight_is_not_felt(holding):
     assert np.abs(holding.truth.z[-200:] - 3.0).max() < 0.03
 
 
+def test_a_plant_far_from_the_present_one_is_refused_in_flight(holding):
+    ground = GroundStation(holding)
+    before = holding.daemon.service.hover_thrust
+    holding.fly(Script(holding, (8.0, lambda: ground.set("ALT_HOVER_THR", 0.6 * before)), (9.0, nothing)))
+    assert [message.param_value for message in ground.heard("PARAM_VALUE")] == [pytest.approx(before)]
+    assert "go in steps of 1.5 times at most" in "".join(ground.texts())
+    assert holding.session.service.settings.hover_thrust == before
+
+
 def test_a_value_out_of_range_is_refused_with_the_unchanged_one_and_the_reason(holding):
     ground = GroundStation(holding)
 
