@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Protocol
 
-from kffa_offboard.mavlink.commands import attitude_target
+from kffa_offboard.mavlink.commands import EncodingError, attitude_target
 from kffa_offboard.mavlink.component import Component, Route
 from kffa_offboard.mavlink.transport import Clock, Link, Posting
 from kffa_offboard.offboard.events import AttitudeTarget
@@ -41,4 +41,8 @@ class FramedLastWords:
         target = self._service.last_setpoint()
         if target is None:
             return None
-        return self._link.posting(self._component.pack(attitude_target(self._route, target, self._clock())))
+        try:
+            message = attitude_target(self._route, target, self._clock())
+        except EncodingError:
+            return None  # the session would not send it either
+        return self._link.posting(self._component.pack(message))

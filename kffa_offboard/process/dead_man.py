@@ -51,6 +51,7 @@ class DeadManSwitch:
     def __init__(self, words: LastWords) -> None:
         self._words = words
         self._told = False
+        self._full = False
         self._due_s = 0.0
         self._trouble = False
         self._channel, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -68,10 +69,11 @@ class DeadManSwitch:
     def take_trouble(self) -> str | None:
         """Bring the words up to date; that the other process is gone, once, else None."""
         if not self._words.has_control:
-            if self._told:
-                self._told = False
-                return self._tell(dead_man_child.NOTHING, ())
-            return None
+            if not self._told:
+                return None
+            trouble = self._tell(dead_man_child.NOTHING, ())
+            self._told = self._full  # then once more in the next turn
+            return trouble
         now_s = time.monotonic()
         if self._told and now_s < self._due_s:
             return None
@@ -84,10 +86,11 @@ class DeadManSwitch:
         return self._tell(b"%s\n%d\n%s" % (host.encode(), port, data), (descriptor,))
 
     def _tell(self, packet: bytes, descriptors: tuple[int, ...]) -> str | None:
+        self._full = False
         try:
             socket.send_fds(self._channel, [packet], descriptors)
         except BlockingIOError:
-            return None  # it has not run for seconds, and has enough to read
+            self._full = True  # it has not run for seconds
         except OSError as error:
             trouble, self._trouble = not self._trouble, True
             return f"dead man's switch: {(error.strerror or str(error)).lower()}" if trouble else None
@@ -98,6 +101,8 @@ class DeadManSwitch:
         if self._channel.fileno() < 0:
             return
         self._tell(dead_man_child.NOTHING, ())
+        if self._full:
+            self._process.kill()  # it would say what it was told before
         self._channel.close()
         try:
             self._process.wait(PATIENCE_S)

@@ -55,6 +55,7 @@ def test_it_is_one_whole_setpoint_of_ours():
 
 def test_nothing_is_framed_where_there_is_nothing_to_say():
     assert words(Wire(), None).posting() is None
+    assert words(Wire(), AttitudeTarget(1.5, attitude=(0.0, 0.0, 0.0))).posting() is None
 
 
 def udp(url):

@@ -156,6 +156,38 @@ def test_that_the_switch_is_gone_is_said_once(vehicle):
     switch.close()
 
 
+@pytest.fixture
+def full(vehicle):
+    """A switch whose other process has not run for long, just after control was given up."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.connect(vehicle.getsockname())
+        words = Words(link)
+        switch = DeadManSwitch(words)
+        os.kill(switch._process.pid, signal.SIGSTOP)
+        while not switch._full:
+            switch._due_s = 0.0
+            assert switch.take_trouble() is None
+        words.has_control = False
+        yield switch
+
+
+def test_that_there_is_nothing_more_to_say_is_told_until_it_is_heard(full, vehicle):
+    assert full.take_trouble() is None
+    assert full._told
+    os.kill(full._process.pid, signal.SIGCONT)
+    end = time.monotonic() + 5.0
+    while full._told and time.monotonic() < end:
+        assert full.take_trouble() is None
+    assert not full._told
+    full.close()
+    assert_silent(vehicle)
+
+
+def test_one_that_cannot_be_told_says_nothing_at_the_end(full, vehicle):
+    full.close()
+    assert_silent(vehicle)
+
+
 def test_signals_for_the_whole_group_leave_it_alone(vehicle):
     port = vehicle.getsockname()[1]
     everybody = "time.sleep(0.2); " + "; ".join(
