@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from kffa_offboard.cli_status import StatusBoard, StatusConsole, complain
-from kffa_offboard.config import DaemonConfig
+from kffa_offboard.config import DaemonConfig, LinkSettings
 from kffa_offboard.config_log import flight_header, make_companion, parameter_keeper
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.plot import PlotStream
@@ -77,16 +77,7 @@ def open_vehicle(
     Raises UserError for a busy port, a missing device, a log that cannot be written or is not complete.
     """
     with ExitStack() as stack:
-        link = stack.enter_context(
-            closing(
-                open_link(
-                    config.link.url,
-                    shared.clock,
-                    allow_remote=config.link.allow_remote,
-                    signing=config.link.signing,
-                )
-            )
-        )
+        link = stack.enter_context(closing(_link(config.link, shared.clock)))
         log = _log_path(config, options, name)
         directory = config.log.directory or (log.parent if log is not None else Path())
         changed = ParameterFile(directory / f"changed-parameters-{config.link.target_system}.json")
@@ -98,7 +89,7 @@ def open_vehicle(
         if options.plot is not None:
             observers.append(stack.enter_context(_plot_stream(options.plot, shared.clock, name)))
         if not options.lockstep:
-            path = directory / f"in-flight-{config.link.target_system}.json"
+            path = directory / f"in-flight-{ids.target_system}.json"
             mark = stack.enter_context(closing(FlightMark(path)))
             config = _after_interruption(config, options, mark, shared.console)
             observers.append(mark)
@@ -125,12 +116,16 @@ def open_vehicle(
             companion=make_companion(config, route),
             compare_clocks=not options.lockstep,
         )
-        clock = StepClock(config.process.late_step_s)
-        watch = LoopWatch(clock, shared.manager, shared.collector, sources)
+        late = StepClock(config.process.late_step_s)
+        watch = LoopWatch(late, shared.manager, shared.collector, sources)
         try:
             yield VehicleRun(name, config, log, session, watch)
         finally:
             _say_what_is_left(session, changed)
+
+
+def _link(settings: LinkSettings, clock: Clock) -> Link:
+    return open_link(settings.url, clock, allow_remote=settings.allow_remote, signing=settings.signing)
 
 
 def _dead_man_switch(
