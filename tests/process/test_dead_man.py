@@ -171,6 +171,9 @@ def full(vehicle):
             assert switch.take_trouble() is None
         words.has_control = False
         yield switch
+        if switch._process.poll() is None:  # the test failed
+            switch._process.kill()
+            switch._process.wait()
 
 
 def test_that_there_is_nothing_more_to_say_is_told_until_it_is_heard(full, vehicle):
