@@ -76,8 +76,8 @@ class PayloadParameters:
     hover_thrust_uncertainty : relative standard deviation of `hover_thrust`
     acceleration_intensity : (m/s^2)^2/s, growth of the variance of what else accelerates; gusts of 1 N on
         10 kg that last 2 s have 2 * 0.1^2 / 2
-    timing_uncertainty : s, standard deviation of the actuator's delay; times a change of the acceleration by
-        thrust it is the velocity that is uncertain then
+    timing_uncertainty : s, standard deviation of the actuator's delay and of a sample's age; times a change
+        of the acceleration by thrust, or times the acceleration, it is the velocity that is uncertain then
     """
 
     vehicle_mass: float
@@ -243,7 +243,7 @@ def _filter(
     dt: float,
 ) -> PayloadState:
     state = _predict(parameters, state, acted, tilt_factor, dt)
-    return _correct(parameters, state, rate) if fresh else state
+    return _correct(parameters, state, rate, tilt_factor) if fresh else state
 
 
 def _predict(
@@ -268,10 +268,17 @@ def _predict(
     )
 
 
-def _correct(parameters: PayloadParameters, state: PayloadState, rate: Array) -> PayloadState:
-    """Kalman correction, and the two cumulative sums of its innovation."""
+def _correct(
+    parameters: PayloadParameters, state: PayloadState, rate: Array, tilt_factor: Array
+) -> PayloadState:
+    """Kalman correction, and the two cumulative sums of its innovation.
+
+    A climb rate that changes is known as well as the time that it belongs to.
+    """
     detection = parameters.detection
-    total = state.rate_variance + parameters.rate_variance
+    acceleration = parameters.b0 * state.acted * tilt_factor * state.ratio - GRAVITY
+    mistimed = acceleration * parameters.timing_uncertainty
+    total = state.rate_variance + parameters.rate_variance + mistimed * mistimed
     innovation = rate - state.rate
     k_rate, k_ratio = state.rate_variance / total, state.covariance / total
     normal = innovation / np.sqrt(total)

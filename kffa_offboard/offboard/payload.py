@@ -190,6 +190,12 @@ def _clear(settings: PayloadSettings, load: Load) -> bool:
     return load.mass > max(settings.estimator.detection.minimum, _SURE * load.std)
 
 
+def _rest(settings: PayloadSettings, load: Load) -> bool:
+    """Something is left after a drop; the first tenth of a second has to show it as clearly as any change."""
+    detection = settings.estimator.detection
+    return load.mass > max(detection.minimum, detection.confidence * load.std)
+
+
 def has_load(settings: PayloadSettings, state: Awareness) -> bool:
     """The vehicle carries a load, and how heavy it is is known."""
     known = state.load is not None and state.pick_up is None and state.unrest_us is None
@@ -220,8 +226,7 @@ def _watch_changes(
         before = load.mass - change if state.pick_up is None else state.pick_up.before
         return state._replace(pick_up=PickUp(time_us, before)), ()
     if change < 0.0:
-        before = load.mass - change
-        dropped = -change if _clear(settings, load) else before
+        dropped = -change if _rest(settings, load) else load.mass - change
         drop = Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg")
         return state._replace(pick_up=None, told=load.mass), (drop,)
     pick_up = state.pick_up

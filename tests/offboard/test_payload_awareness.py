@@ -414,6 +414,12 @@ def test_more_than_was_carried_is_not_dropped(fake):
     assert changes_of(fake, [(1.0, 0.0, -4.9)], told=4.8) == [(1.0, "dropped 4.9 kg")]
 
 
+def test_a_rest_is_told_when_it_is_four_deviations_and_not_before(fake):
+    """A tenth of a second after a drop PX4's samples left 0.7 kg of 5: "dropped 4.3 kg"."""
+    assert changes_of(fake, [(1.0, 0.75, -4.25)], told=5.0) == [(1.0, "dropped 5.0 kg")]
+    assert changes_of(fake, [(1.0, 0.85, -4.15)], told=5.0) == [(1.0, "dropped 4.2 kg")]
+
+
 def test_a_load_that_leaves_during_a_landing_is_announced(fake):
     vehicle = fake.airborne(weight=LOADED, own_thrust=fake.hover * LOADED, position=8.0)
     flight = fake.Lockstep(settings(fake, (Hold(2.0), Land(0.7))), vehicle).run_to(State.ENGAGED)
