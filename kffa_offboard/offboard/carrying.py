@@ -1,7 +1,9 @@
-"""The thrust that carries the vehicle, from the setpoints that were sent: a mean over as long as it needs.
+"""The thrust that carries the vehicle: what the observer finds, or a long mean of the setpoints.
 
-A short mean follows a load that comes or goes. While thrust swings (the link is slow, gains are too high) a
-short mean is whatever the phase makes it: then the long one counts.
+The observer's disturbance says which thrust balances the vehicle, also while it is on its way to another
+height and thrust accelerates it, and it follows a load that comes or goes. While thrust swings (the link is
+slow, gains are too high) anything short is whatever the phase makes it: then the long mean of
+the setpoints counts.
 """
 
 from __future__ import annotations
@@ -9,7 +11,9 @@ from __future__ import annotations
 from math import exp
 from typing import NamedTuple
 
-SHORT_S, LONG_S = 0.3, 2.0
+from kffa_offboard.control import controllers
+
+BALANCE_S, SHORT_S, LONG_S = 0.1, 0.3, 2.0
 SWING = 0.05
 """Share of the long mean by which the short one must leave it to be on a side of it."""
 
@@ -18,8 +22,11 @@ SWINGING = 1.5
 
 
 class Carrying(NamedTuple):
-    """Two means of the setpoints' thrust; on which side of the long the short was last; changes of side."""
+    """Mean of the thrust that balances; two means of the setpoints' thrust, on which side of the long the
+    short was last, and changes of side.
+    """
 
+    balance: float
     short: float
     long: float
     side: int = 0
@@ -33,18 +40,32 @@ class Carrying(NamedTuple):
     @property
     def thrust(self) -> float:
         """Normalised collective thrust that carries the vehicle."""
-        return self.long if self.swings else self.short
+        return self.long if self.swings else self.balance
 
 
-def follow(state: Carrying | None, thrust: float, dt: float) -> Carrying:
-    """Take in a setpoint `dt` s after the last one; None: the first of an engagement."""
+def balancing(
+    parameters: controllers.ControllerParameters, state: controllers.ControllerState, thrust: float
+) -> float:
+    """The thrust that balances the altitude channel's disturbance in a level attitude.
+
+    For a controller that estimates none it is `thrust`, which was sent.
+    """
+    if parameters.observer is None:
+        return thrust
+    disturbance = float(state.observer.disturbance[controllers.ALTITUDE])
+    return -disturbance / float(parameters.model.b0[controllers.ALTITUDE])
+
+
+def follow(state: Carrying | None, thrust: float, balance: float, dt: float) -> Carrying:
+    """Take in a setpoint `dt` s after the last one, and what balances then; None: the first."""
     if state is None:
-        return Carrying(thrust, thrust)
+        return Carrying(balance, thrust, thrust)
     keep = exp(-dt / LONG_S)
     short = thrust + (state.short - thrust) * exp(-dt / SHORT_S)
     long = thrust + (state.long - thrust) * keep
     side = state.side if abs(short - long) < SWING * long else 1 if short > long else -1
     return Carrying(
+        balance=balance + (state.balance - balance) * exp(-dt / BALANCE_S),
         short=short,
         long=long,
         side=side,

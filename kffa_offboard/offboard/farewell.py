@@ -22,8 +22,8 @@ def farewell(
 ) -> tuple[AttitudeTarget, ...]:
     """One setpoint, or none if nothing was sent yet or the vehicle stands on the ground.
 
-    Thrust is a mean of the last setpoints (`carrying`), which carries a load, too; while thrust is ramped up
-    or down near the ground, or where touch-down shows already, no more than was sent last.
+    Thrust is what balances the vehicle with its load (`carrying`); while thrust is ramped up or down near the
+    ground, or where touch-down shows already, no more than was sent last.
     """
     if loop is None or loop.sent is None or loop.carrying is None or flight is None or known.attitude is None:
         return ()

@@ -14,7 +14,7 @@ import numpy as np
 
 from kffa_offboard.control import Array, controllers, payload
 from kffa_offboard.control.rotation import body_rates_of, euler_rates_of, wrap_angle
-from kffa_offboard.offboard.carrying import Carrying, follow
+from kffa_offboard.offboard.carrying import Carrying, balancing, follow
 from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
 from kffa_offboard.offboard.flight import Directive
 from kffa_offboard.offboard.guard import check_target, tilt_factor
@@ -51,7 +51,7 @@ class LoopState(NamedTuple):
     altitude : m, estimate
     hold_altitude : m, where the vehicle comes to rest if it is told to hold now
     vertical_thrust : last command on the altitude channel
-    carrying : what thrust of the setpoints carries the vehicle; None before the first of an engagement
+    carrying : what thrust carries the vehicle; None before the first of an engagement
     sent, sent_us : last setpoint of this engagement and when; None before the first
     blend : None outside an engagement in the air
     horizontal : the position ring, None without one
@@ -321,13 +321,14 @@ def _send(
         return loop, LoopStep(None, trace._replace(command=wanted, applied=wanted), checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
+    controller, thrust = _told(settings, loop.controller, output, applied), checked.target.thrust
     loop = LoopState(
-        _told(settings, loop.controller, output, applied),
+        controller,
         loop.position_us,
         loop.altitude,
         loop.hold_altitude,
         float(sent[3] if flown is None else flown[3]),
-        follow(loop.carrying, checked.target.thrust, since),
+        follow(loop.carrying, thrust, balancing(settings.controller, controller, thrust), since),
         checked.target,
         time_us,
         loop.blend,

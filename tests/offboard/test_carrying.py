@@ -7,10 +7,10 @@ import pytest
 from kffa_offboard.offboard.carrying import Carrying, follow
 
 
-def after(thrusts, dt=0.01):
+def after(thrusts, dt=0.01, balance_of=lambda thrust: thrust):
     state = None
     for thrust in thrusts:
-        state = follow(state, thrust, dt)
+        state = follow(state, thrust, balance_of(thrust), dt)
     return state
 
 
@@ -31,4 +31,10 @@ def test_in_a_swing_the_phase_of_the_last_setpoints_does_not_matter(phase, omega
 
 
 def test_the_first_setpoint_is_all_that_is_known():
-    assert follow(None, 0.35, 0.01) == Carrying(0.35, 0.35)
+    assert follow(None, 0.35, 0.34, 0.01) == Carrying(0.34, 0.35, 0.35)
+
+
+def test_thrust_that_accelerates_does_not_carry():
+    """On the way to another height; half a second of the setpoints' mean moved a vehicle by metres."""
+    state = after([0.6] * 300 + [0.9] * 20, balance_of=lambda thrust: 0.6)
+    assert not state.swings and state.thrust == pytest.approx(0.6)
