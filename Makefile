@@ -6,6 +6,9 @@ BIN := $(VENV)/bin
 INPUTS := pyproject.toml constraints.txt
 PIP := PIP_CONSTRAINT=constraints.txt PIP_DISABLE_PIP_VERSION_CHECK=1 $(BIN)/python -m pip install --quiet
 
+# Tests start some hundred processes: what one has compiled, the others read.
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: help install install-dev install-clients demo bench test test-grid test-faults lint clean
 
 help:
@@ -64,7 +67,7 @@ test: lint
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal
 
 test-grid: $(VENV)/.dev
-	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m grid --timeout 300
+	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m grid --timeout 300 $$(grep -rlw mark.grid --include='*.py' tests)
 
 test-faults: $(VENV)/.dev
 	$(BIN)/python -m pytest --numprocesses auto --dist worksteal -m long_faults
