@@ -15,13 +15,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 
 from sim_vehicle import dynamics, payload
 from sim_vehicle.environment import CALM, NOTHING, EnvironmentInputs, Ground, Touching, touch_ground
-from sim_vehicle.frames import Array, Row, array_of, at_least, at_most, rows_of, wrap_angle
+from sim_vehicle.frames import Array, Row, array_of, limits, rows_of, wrap_angle
 from sim_vehicle.proximity import Proximity, thrust_ratio, touch_ceiling
 
 
@@ -206,6 +205,7 @@ def mix(parameters: AirframeParameters, thrust: Row, torque: Array) -> Array:
 
 def _desaturate(lift: Row, roll: Row, pitch: Row, yaw: Row) -> tuple[Row, Row, Row, Row]:
     """Shares of one motor's command that keep all four within 0..1; see `mix`."""
+    at_most, at_least = limits(lift, roll, pitch, yaw)
     lift = at_most(at_least(lift, 0.0), 1.0)
     spread = at_least(at_least(roll, -roll), at_least(pitch, -pitch))
     lift = at_most(lift, at_least(1.0 - spread, 0.5))
@@ -261,6 +261,7 @@ def _motors(
     target = [limit * command for command in rows_of(commands)]
     if parameters.profile == "paper":
         return target, target
+    at_most, at_least = limits(*target)
     target = [at_most(at_least(wanted, 0.0), limit) for wanted in target]
     if parameters.motor_time_constant == 0.0:
         return target, target
@@ -347,15 +348,21 @@ class Measurement:
     body_rates: Array
 
 
-@lru_cache(maxsize=64)
-def _deviations(noise: SensorNoise) -> Array:
+def deviations(noise: SensorNoise) -> Array:
     """Standard deviations (12,) of the rows of `AirframeState.rigid`."""
     h, v = noise.horizontal_position, noise.horizontal_velocity
-    deviations = [h, h, noise.altitude, v, v, noise.climb_rate, *3 * [noise.attitude], *3 * [noise.body_rate]]
-    return np.array(deviations)
+    attitude, body_rates = 3 * [noise.attitude], 3 * [noise.body_rate]
+    return np.array([h, h, noise.altitude, v, v, noise.climb_rate, *attitude, *body_rates])
 
 
 def measure(noise: SensorNoise, state: AirframeState, generator: np.random.Generator) -> Measurement:
     """State with sensor noise; angles in [-pi, pi). Draws 12[ x N] numbers from `generator`."""
-    noisy = state.rigid + (_deviations(noise) * generator.standard_normal(state.rigid.shape).T).T
+    noisy = with_noise(deviations(noise), state.rigid, generator)
     return Measurement(noisy[0:3], noisy[3:6], wrap_angle(noisy[6:9]), noisy[9:12])
+
+
+def with_noise(deviation: Array, rigid: Array, generator: np.random.Generator) -> Array:
+    """Rows (12[, N]) with white noise of the `deviations` (12,); angles are not wrapped."""
+    if rigid.ndim == 1:
+        return rigid + deviation * generator.standard_normal(12)
+    return rigid + (deviation * generator.standard_normal(rigid.shape).T).T

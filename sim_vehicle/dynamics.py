@@ -29,6 +29,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from typing import Literal, NamedTuple, TypeAlias
 
 import numpy as np
@@ -120,21 +121,32 @@ def _terms(
     torque: Array | None,
     wind: Array | None,
 ) -> _Terms:
-    inertia, products = rows_of(properties.inertia), rows_of(properties.products_of_inertia)
+    one = isinstance(properties.mass, float)
+    inertia, products, inverse, center = (_kept_body_rows if one else _body_rows)(properties)
     return _Terms(
-        wrench=rows_of(wrench),
-        mass=properties.mass,
-        inertia=inertia,
-        products=products,
-        inverse=_inverse_inertia(inertia, products),
-        arm=properties.arm_length,
-        center=rows_of(properties.center_of_mass),
-        drag=drag,
-        gravity=gravity,
-        force=_rows_or_zero(force),
-        torque=_rows_or_zero(torque),
-        wind=_rows_or_zero(wind),
+        rows_of(wrench),
+        properties.mass,
+        inertia,
+        products,
+        inverse,
+        properties.arm_length,
+        center,
+        drag,
+        gravity,
+        _rows_or_zero(force),
+        _rows_or_zero(torque),
+        _rows_or_zero(wind),
     )
+
+
+def _body_rows(properties: MassProperties) -> tuple[list[Row], list[Row], tuple[Row, ...], list[Row]]:
+    """Moments and products of inertia, the inverse of their tensor, and the centre of mass."""
+    inertia, products = rows_of(properties.inertia), rows_of(properties.products_of_inertia)
+    return inertia, products, _inverse_inertia(inertia, products), rows_of(properties.center_of_mass)
+
+
+_kept_body_rows = lru_cache(maxsize=64)(_body_rows)
+"""Of one vehicle, whose load changes a few times in a flight, not in every step."""
 
 
 def _rows_or_zero(vector: Array | None) -> list[Row]:

@@ -54,6 +54,11 @@ class Wind:
     sine_direction: Vector3 = (0.0, 0.0, 1.0)
     sine_kind: SineKind = "acceleration"
 
+    @property
+    def steady(self) -> bool:
+        """It blows the same all the time."""
+        return self.gust_std == 0.0 and self.sine_amplitude == 0.0
+
     def __post_init__(self) -> None:
         if not self.gust_std >= 0.0:
             raise ValueError(f"gust standard deviation of {self.gust_std} m/s is below zero; give 0 or more")

@@ -16,14 +16,15 @@ vehicle they run several times faster than numpy on tiny arrays.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import TypeAlias
+from collections.abc import Callable, Sequence
+from typing import TypeAlias, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 Array: TypeAlias = NDArray[np.float64]
 Row: TypeAlias = float | Array
+AnyRow = TypeVar("AnyRow", float, Array)
 
 # ------------------------------------------------------------------ the paper's axes <-> MAVLink
 
@@ -75,12 +76,23 @@ def quaternion_from_ned(quaternion: Array) -> Array:
     return _negate_from(quaternion, 2)
 
 
+def flipped(rows: Sequence[float]) -> list[float]:
+    """The same of one vehicle's vector (3), Euler angles (3) or quaternion (4), either way, in floats."""
+    first = len(rows) - 2
+    return [*rows[:first], *[-row for row in rows[first:]]]
+
+
 # --------------------------------------------------------------------------------- attitude
 
 
 def wrap_angle(angle: Array) -> Array:
     """Angles of any shape [rad] into [-pi, pi)."""
-    return np.asarray((angle + math.pi) % (2.0 * math.pi) - math.pi, dtype=np.float64)
+    return np.asarray(wrapped(angle), dtype=np.float64)
+
+
+def wrapped(angle: AnyRow) -> AnyRow:
+    """One row of angles [rad] into [-pi, pi)."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
 def rotation_matrix(euler: Array) -> Array:
@@ -135,6 +147,17 @@ def at_least(value: Row, bound: Row) -> Row:
     if isinstance(value, float) and isinstance(bound, float):
         return max(value, bound)
     return np.maximum(value, bound)
+
+
+Limit: TypeAlias = Callable[[Row, Row], Row]
+
+
+def limits(*rows: Row) -> tuple[Limit, Limit]:
+    """`at_most` and `at_least` for many uses on `rows` and numbers made of them."""
+    for row in rows:
+        if not isinstance(row, float):
+            return np.minimum, np.maximum
+    return min, max
 
 
 def rotation_rows_from_euler(euler: Sequence[Row]) -> tuple[Row, ...]:

@@ -178,9 +178,8 @@ class MavlinkServer:
     # ------------------------------------------------------------------------------- setpoints
 
     def _set_attitude_target(self, peer: Peer, message: Message) -> None:
-        rates = [message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate]
-        p, q, r = frames.body_from_frd(np.array(rates)).tolist()
-        w, x, y, z = frames.quaternion_from_ned(np.array(message.q)).tolist()
+        p, q, r = frames.flipped((message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate))
+        w, x, y, z = frames.flipped(message.q)
         self.firmware.accept_setpoint(
             AttitudeSetpoint(int(message.type_mask), (w, x, y, z), (p, q, r), float(message.thrust))
         )

@@ -22,6 +22,12 @@ COMPONENT_ID = 1
 """MAV_COMP_ID_AUTOPILOT1."""
 
 
+def _is_one_frame(data: bytes) -> bool:
+    """As most datagrams are: one frame of MAVLink 2, not signed."""
+    unsigned = len(data) > 2 and data[0] == mavlink.PROTOCOL_MARKER_V2 and data[2] == 0
+    return unsigned and len(data) == data[1] + 12
+
+
 class Stream:
     """One message at a steady rate. Times and intervals in us of simulated time."""
 
@@ -73,8 +79,17 @@ class Peer:
         """Whole messages in `data` and what was left from before; garbage is skipped, and what is refused."""
         if self._signed:
             self.codec.keep_time()
+        elif _is_one_frame(data) and self.codec.buf_len() == 0:
+            return self._decode(data)
         messages = self.codec.parse_buffer(data) or []
         return [message for message in messages if message.get_type() != "BAD_DATA"]
+
+    def _decode(self, frame: bytes) -> list[Message]:
+        """What `parse_buffer` makes of a whole frame, without looking for where it begins and ends."""
+        try:
+            return [self.codec.decode(bytearray(frame))]
+        except mavlink.MAVError:
+            return []
 
     def set_interval(self, message_id: int, interval_us: int, now_us: int) -> None:
         """Send a message every `interval_us` from now on; 0 or less stops it."""

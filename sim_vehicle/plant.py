@@ -54,6 +54,7 @@ class Plant:
         self._wind = _wind(config)
         self._wind_generator = wind_generator
         self._gust = np.zeros(3)
+        self._steady = environment.inputs_at(self._wind, self._gust, 0.0) if self._wind.steady else None
         self._faults = config.faults
         self._rope = Rope(config.payload.rope_length_m)
         self._faulty = config.faults != FaultsSection()
@@ -61,9 +62,7 @@ class Plant:
     def step(self, motor_commands: Array) -> None:
         """One physics step with commands (4,), 0..1, held over it (see `airframe.step`)."""
         self._follow_schedule()
-        self._gust, surroundings = environment.advance(
-            self._wind, self._gust, self.time_us * 1e-6, self._wind_generator, self.dt
-        )
+        surroundings = self._steady or self._blow()
         if self._faulty:
             now_s = self.time_us * 1e-6
             motor_commands = faults.motor_commands(self._faults, now_s, motor_commands)
@@ -74,6 +73,13 @@ class Plant:
             surroundings = replace(surroundings, force=surroundings.force + pull)
         self.state = airframe.step(self.body, self.state, motor_commands, surroundings, self.dt)
         self.time_us += self.step_us
+
+    def _blow(self) -> environment.EnvironmentInputs:
+        """Wind that changes, for one step."""
+        self._gust, inputs = environment.advance(
+            self._wind, self._gust, self.time_us * 1e-6, self._wind_generator, self.dt
+        )
+        return inputs
 
     def set_load(self, mass_kg: float) -> None:
         """Carry a load of `mass_kg` from now on; 0 drops it. ValueError if there can be no such load."""

@@ -11,7 +11,6 @@ import struct
 from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
-import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from sim_vehicle import frames
@@ -65,7 +64,7 @@ class Sample(NamedTuple):
 
 def latitude_longitude(position: tuple[float, float, float]) -> tuple[int, int]:
     """Latitude and longitude [1e-7 degrees] of a local position (3,) [m], flat Earth."""
-    north, east, _ = frames.vector_to_ned(np.array(position)).tolist()
+    north, east, _ = frames.flipped(position)
     latitude = HOME_LATITUDE_DEG + math.degrees(north / EARTH_RADIUS)
     scale = EARTH_RADIUS * math.cos(math.radians(HOME_LATITUDE_DEG))
     longitude = HOME_LONGITUDE_DEG + math.degrees(east / scale)
@@ -76,14 +75,8 @@ def local_position(latitude: float, longitude: float) -> tuple[float, float]:
     """Local x and y [m] of a place on Earth [degrees]; undoes `latitude_longitude`."""
     north = EARTH_RADIUS * math.radians(latitude - HOME_LATITUDE_DEG)
     scale = EARTH_RADIUS * math.cos(math.radians(HOME_LATITUDE_DEG))
-    x, y, _ = frames.vector_from_ned(
-        np.array([north, scale * math.radians(longitude - HOME_LONGITUDE_DEG), 0.0])
-    )
-    return float(x), float(y)
-
-
-def _ned(vector: tuple[float, float, float]) -> list[float]:
-    return [float(value) for value in frames.vector_to_ned(np.array(vector))]
+    x, y, _ = frames.flipped((north, scale * math.radians(longitude - HOME_LONGITUDE_DEG), 0.0))
+    return x, y
 
 
 def _within(value: float, bound: int) -> int:
@@ -107,27 +100,26 @@ def _heartbeat(s: Sample) -> Message:
 
 
 def _attitude(s: Sample) -> Message:
-    roll, pitch, yaw = frames.euler_to_ned(np.array(s.estimate.euler)).tolist()
-    p, q, r = frames.body_to_frd(np.array(s.estimate.body_rates)).tolist()
+    roll, pitch, yaw = frames.flipped(s.estimate.euler)
+    p, q, r = frames.flipped(s.estimate.body_rates)
     return mavlink.MAVLink_attitude_message(s.time_ms, roll, pitch, yaw, p, q, r)
 
 
 def _attitude_quaternion(s: Sample) -> Message:
-    quaternion = frames.quaternion_to_ned(np.array(s.estimate.attitude)).tolist()
-    rates = frames.body_to_frd(np.array(s.estimate.body_rates)).tolist()
+    quaternion = frames.flipped(s.estimate.attitude)
+    rates = frames.flipped(s.estimate.body_rates)
     return mavlink.MAVLink_attitude_quaternion_message(s.time_ms, *quaternion, *rates)
 
 
 def _attitude_target(s: Sample) -> Message:
     mask, attitude, body_rates, thrust = s.firmware.reported_target()
-    quaternion = frames.quaternion_to_ned(np.array(attitude)).tolist()
-    rates = frames.body_to_frd(np.array(body_rates)).tolist()
+    quaternion, rates = frames.flipped(attitude), frames.flipped(body_rates)
     return mavlink.MAVLink_attitude_target_message(s.time_ms, mask, quaternion, *rates, thrust)
 
 
 def _local_position(s: Sample) -> Message:
     return mavlink.MAVLink_local_position_ned_message(
-        s.time_ms, *_ned(s.estimate.position), *_ned(s.estimate.velocity)
+        s.time_ms, *frames.flipped(s.estimate.position), *frames.flipped(s.estimate.velocity)
     )
 
 
@@ -137,19 +129,19 @@ def _centidegrees(angle: float) -> int:
 
 
 def _heading_cdeg(s: Sample) -> int:
-    _, _, yaw = frames.euler_to_ned(np.array(s.estimate.euler)).tolist()
+    _, _, yaw = frames.flipped(s.estimate.euler)
     return _centidegrees(yaw)
 
 
 def _course_cdeg(s: Sample) -> int:
     """Where it moves to, wherever it looks."""
-    north, east, _ = _ned(s.estimate.velocity)
+    north, east, _ = frames.flipped(s.estimate.velocity)
     return _centidegrees(math.atan2(east, north))
 
 
 def _global_position(s: Sample) -> Message:
     latitude, longitude = latitude_longitude(s.estimate.position)
-    speed = [_within(value * 100.0, INT16_MAX) for value in _ned(s.estimate.velocity)]
+    speed = [_within(value * 100.0, INT16_MAX) for value in frames.flipped(s.estimate.velocity)]
     return mavlink.MAVLink_global_position_int_message(
         s.time_ms,
         latitude,
@@ -185,7 +177,7 @@ def _home(s: Sample) -> Message | None:
     latitude, longitude = latitude_longitude(s.firmware.home)
     altitude = _within((ORIGIN_ALTITUDE + s.firmware.home[2]) * 1000.0, INT32_MAX)
     return mavlink.MAVLink_home_position_message(
-        latitude, longitude, altitude, *_ned(s.firmware.home), (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 1.0
+        latitude, longitude, altitude, *frames.flipped(s.firmware.home), (1.0, 0.0, 0.0, 0.0), 0.0, 0.0, 1.0
     )
 
 

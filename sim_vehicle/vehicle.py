@@ -17,6 +17,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from sim_vehicle import airframe
 from sim_vehicle.config import SimConfig
 from sim_vehicle.firmware import Firmware, Readiness
+from sim_vehicle.frames import wrapped
 from sim_vehicle.guidance import Estimate
 from sim_vehicle.mavlink_server import MavlinkServer
 from sim_vehicle.personality_ardupilot import ArduCopterFirmware
@@ -73,7 +74,7 @@ class SimulatedVehicle:
         link = config.link
         self._uplink = _DelayLine(link.command_delay_s, link.jitter_s, up)
         self._downlink = _DelayLine(link.telemetry_delay_s, link.jitter_s, down)
-        self._noise = _noise(config)
+        self._deviations = airframe.deviations(_noise(config))
         self._climb_rate = 0.0
         self._estimate = self._sense()
         self._record()
@@ -156,15 +157,15 @@ class SimulatedVehicle:
             self._record()
 
     def _sense(self) -> Estimate:
-        measured = airframe.measure(self._noise, self.state, self._sensor_generator)
-        climb_rate = float(self.state.rigid[5])
+        """As `airframe.measure`, in floats."""
+        rigid = self.plant.state.rigid
+        climb_rate = float(rigid[5])
         acceleration = (climb_rate - self._climb_rate) / self.plant.dt
         self._climb_rate = climb_rate
-        x, y, z = measured.position.tolist()
-        vx, vy, vz = measured.velocity.tolist()
-        roll, pitch, yaw = measured.euler.tolist()
-        p, q, r = measured.body_rates.tolist()
-        return Estimate(self.time_us, (x, y, z), (vx, vy, vz), (roll, pitch, yaw), (p, q, r), acceleration)
+        noisy = airframe.with_noise(self._deviations, rigid, self._sensor_generator)
+        x, y, z, vx, vy, vz, roll, pitch, yaw, p, q, r = noisy.tolist()
+        euler = (wrapped(roll), wrapped(pitch), wrapped(yaw))
+        return Estimate(self.time_us, (x, y, z), (vx, vy, vz), euler, (p, q, r), acceleration)
 
     def _record(self) -> None:
         self.plant.record(self.firmware.armed, self.firmware.mode_name)
