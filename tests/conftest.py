@@ -1,6 +1,7 @@
-"""Settings that hold for every test: the same examples on every run, and no wall-clock deadlines."""
+"""Settings that hold for every test: the same examples on every run, no wall-clock deadlines, one thread."""
 
 import json
+import os
 import socket
 import subprocess
 import sys
@@ -11,6 +12,9 @@ from hypothesis import settings
 
 settings.register_profile("deterministic", derandomize=True, deadline=None, max_examples=60)
 settings.load_profile("deterministic")
+
+# Before numpy is imported: threads of its matrices that wait for a core do so by computing.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 SWING = [
     {"type": "takeoff", "altitude_m": 2.0, "climb_rate_m_s": 1.5},
