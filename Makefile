@@ -15,7 +15,7 @@ help:
 	@echo "make install          the commands kffa-offboard and sim-vehicle, in $(BIN)"
 	@echo "make demo             fly: take off, pick up 5 kg, drop it, land; figure and table in $(OUT)"
 	@echo "make test             ruff, mypy, import contracts, pytest"
-	@echo "make test-grid        every seed with both autopilots and both outputs: some minutes"
+	@echo "make test-grid        every other seed with both autopilots and both outputs: some minutes"
 	@echo "make test-faults      three thousand random mixtures of faults in flight: half an hour"
 	@echo "make lint             the same without pytest"
 	@echo "make install-clients  the extras, too: campaigns, and MAVProxy and MAVSDK for the tests that fly the simulator with them (1 GB)"

@@ -1,6 +1,6 @@
 """The demonstration keeps its promises with both autopilots, both outputs and ten seeds.
 
-Six flights here, spread over the four combinations; all forty with ``pytest -m grid``, as CI does.
+Six flights here, spread over the four combinations; the other thirty-four with ``pytest -m grid``, as in CI.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ PEAK_M, IAE_M_S, HOVER_RMS_M, ATTITUDE_RMS_RAD = 0.08, 0.10, 0.02, 0.02
 COMBINATIONS = list(product(("px4", "ardupilot"), ("rates", "attitude")))
 SAMPLE = [(*COMBINATIONS[seed % len(COMBINATIONS)], seed) for seed in range(6)]
 GRID = [(*combination, seed) for combination in COMBINATIONS for seed in range(10)]
+OTHERS = [flight for flight in GRID if flight not in SAMPLE]
 
 
 def long_after_the_drop(vehicle: Any) -> bool:
@@ -49,7 +50,7 @@ def test_five_kilograms_more_or_less_hardly_move_the_vehicle(
 
 
 @pytest.mark.grid
-@pytest.mark.parametrize(("personality", "output", "seed"), GRID)
+@pytest.mark.parametrize(("personality", "output", "seed"), OTHERS)
 def test_no_seed_breaks_the_promise(lock_step_flight: Any, personality: str, output: str, seed: int) -> None:
     assert_promises_kept(metrics_of(lock_step_flight, personality, output, seed))
 
