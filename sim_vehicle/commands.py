@@ -69,9 +69,9 @@ class Commands:
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm_disarm,
             mavlink.MAV_CMD_DO_SET_MODE: self._do_set_mode,
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
-            mavlink.MAV_CMD_NAV_LAND: lambda peer, command: server.firmware.land_here(),
-            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: lambda peer, command: server.firmware.return_home(),
-            mavlink.MAV_CMD_NAV_LOITER_UNLIM: lambda peer, command: server.firmware.loiter(),
+            mavlink.MAV_CMD_NAV_LAND: self._land,
+            mavlink.MAV_CMD_NAV_RETURN_TO_LAUNCH: self._return_home,
+            mavlink.MAV_CMD_NAV_LOITER_UNLIM: self._loiter,
             mavlink.MAV_CMD_DO_PAUSE_CONTINUE: self._pause,
             mavlink.MAV_CMD_DO_REPOSITION: self._reposition,
             mavlink.MAV_CMD_DO_GRIPPER: self._gripper,
@@ -227,6 +227,15 @@ class Commands:
 
     def _take_off(self, peer: Peer, command: Command) -> Answer:
         return self._server.firmware.take_off(self._above_home(command))
+
+    def _land(self, peer: Peer, command: Command) -> Answer:
+        return self._server.firmware.land_here()
+
+    def _return_home(self, peer: Peer, command: Command) -> Answer:
+        return self._server.firmware.return_home()
+
+    def _loiter(self, peer: Peer, command: Command) -> Answer:
+        return self._server.firmware.loiter()
 
     def _above_home(self, command: Command) -> float:
         """Param7: height above home for ArduPilot, altitude above sea level for PX4; NaN if not given."""

@@ -12,6 +12,7 @@ HEADER_SIZE = 10
 CHECKSUM_SIZE = 2
 SIGNATURE_SIZE = 13
 _SIGNED = 0x01
+_PARSER = mavlink.MAVLink(None)
 
 
 def split(data: bytes) -> list[bytes]:
@@ -53,7 +54,7 @@ def edited(frame: bytes, change: Callable[[Any], None]) -> bytes:
 def decoded(frame: bytes) -> Any | None:
     """The message of a frame; None if it is damaged, or of a kind that nobody knows."""
     try:
-        message = mavlink.MAVLink(None).decode(bytearray(frame))
+        message = _PARSER.decode(bytearray(frame))  # frame by frame: nothing is remembered
     except mavlink.MAVError:
         return None
     return None if isinstance(message, mavlink.MAVLink_unknown) else message

@@ -132,7 +132,7 @@ class CommandServer:
             mavlink.MAV_CMD_DO_GRIPPER: self._gripper,
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request_message,
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
-            mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: lambda request: self._interval(request.parameters[0]),
+            mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
             mavlink.MAV_CMD_PREFLIGHT_STORAGE: self._storage,
         }
 
@@ -233,6 +233,9 @@ class CommandServer:
             return _denied(f"message interval {interval_us:g}: microseconds, 0 default or -1 off")
         self._streams.set_interval(int(message_id), int(interval_us))
         return Answer(ACCEPTED)
+
+    def _get_interval(self, request: Request) -> Answer:
+        return self._interval(request.parameters[0])
 
     def _interval(self, message_id: float) -> Answer:
         if message_id not in self._streams.message_ids:

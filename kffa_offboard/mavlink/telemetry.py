@@ -98,13 +98,16 @@ class TelemetryDecoder:
             "VFR_HUD": throttle,
             "EXTENDED_SYS_STATE": landed_state,
             "SYS_STATUS": battery,
-            "STATUSTEXT": lambda message: list(self._texts.add(message)),
+            "STATUSTEXT": self._status_text,
         }
 
     def decode(self, message: Message) -> list[Event]:
         """Events of one message; none for types that do not concern control."""
         decoder = self._decoders.get(message.get_type())
         return [] if decoder is None else decoder(message)
+
+    def _status_text(self, message: Message) -> list[Event]:
+        return list(self._texts.add(message))
 
     def _attitude(self, message: Message) -> list[Event]:
         return [

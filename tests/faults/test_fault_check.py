@@ -3,6 +3,7 @@
 from math import nan
 
 import pytest
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.faults.check import bad_frames, violations
 from kffa_offboard.faults.edit import edited, message_id
@@ -66,3 +67,15 @@ def test_an_ending_that_is_not_on_the_wire_is_found(flown):
     told = violations(flown.settings, flown.heard, silent)
     assert told and all(what.startswith("not said on the wire: ") for what in told)
     assert any(isinstance(item, events.Announce) for _, item in flown.heard)
+
+
+def test_a_copy_of_a_flight_is_commanded_alone(settled_flight):
+    """What happens to it does not happen to the flight that it is a copy of."""
+    land = mavlink.MAVLink_command_long_message(1, 1, mavlink.MAV_CMD_NAV_LAND, 0, *[0.0] * 7)
+    frame = bytes(land.pack(mavlink.MAVLink(None, 245, 191)))
+    asks = {0.1: lambda vehicle: vehicle.receive(frame, "daemon")}
+    original = settled_flight("px4")
+    mode = original.vehicle.firmware.mode
+    flown = original.fly_on(0.5, acts=asks)
+    assert flown.vehicle.firmware.mode == flown.vehicle.firmware.land_mode != mode
+    assert original.vehicle.firmware.mode == mode
