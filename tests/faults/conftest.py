@@ -216,18 +216,27 @@ class Flight:
         return self
 
     def fly(self):
-        return self.prepare().go_on(lambda: self.vehicle.time_us * 1e-6 >= self.seconds)
+        return self.prepare().until(self.seconds)
 
     def fly_on(self, seconds, down=(), up=(), acts=None):
         """A copy of this flight that goes on with other faults; times count from now."""
         began = self.vehicle.time_us * 1e-6
-        unchanging = (self.settings, self.vehicle.config)
-        flight = copy.deepcopy(self, {id(value): value for value in unchanging})
         for fault in (*down, *up):
             fault.start_s += began
-        flight.faults.down, flight.faults.up = FaultLine(down, seed=1), FaultLine(up, seed=2)
+        flight = self.copied(down, up)
         flight.acts = {began + at: act for at, act in (acts or {}).items()}
         return flight.go_on(lambda: flight.over(began + seconds))
+
+    def copied(self, down=(), up=()):
+        """A copy of this flight with other faults; times count from its beginning."""
+        unchanging = (self.settings, self.vehicle.config)
+        flight = copy.deepcopy(self, {id(value): value for value in unchanging})
+        flight.faults.down, flight.faults.up = FaultLine(down, seed=1), FaultLine(up, seed=2)
+        return flight
+
+    def until(self, seconds):
+        """This flight goes on to that time."""
+        return self.go_on(lambda: self.vehicle.time_us * 1e-6 >= seconds)
 
     def over(self, end_s):
         """The time is over, or control was given up a while ago."""
