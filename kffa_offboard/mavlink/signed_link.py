@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 import os
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.signing import (
     EPOCH_US,
+    LATEST,
     UNITS_PER_SECOND,
     Signer,
     Verdict,
@@ -41,6 +42,9 @@ MOST_REASONS = 50
 
 EARLIEST_US = EPOCH_US + 9 * 365 * 86_400 * 1_000_000
 """A clock that is before (December 2023) was never set."""
+
+ECHOES = 256
+"""So many frames of ours are remembered: a link that sends them back at once is not worth a word."""
 
 _HEAD_SIZE = 3
 
@@ -105,6 +109,7 @@ class SignedLink:
         self._source: Hashable = None
         self._buffer = b""
         self._news = ""
+        self._sent: deque[bytes] = deque(maxlen=ECHOES)
         self._ahead_said: set[tuple[int, int]] = set()
         self.refused: Counter[tuple[Verdict, tuple[int, int]]] = Counter()
 
@@ -147,7 +152,9 @@ class SignedLink:
 
     def send(self, data: bytes) -> bool:
         """See `transport.Link`; `data` is one frame."""
-        return self._link.send(self._signer.sign(data, self._clock()))
+        frame = self._signer.sign(data, self._clock())
+        self._sent.append(frame)
+        return self._link.send(frame)
 
     def posting(self, data: bytes) -> Posting | None:
         """See `transport.Link`. Signed as on another link, or what goes out here would make it look old."""
@@ -193,11 +200,13 @@ class SignedLink:
     def _open(self, signer: Signer, time_us: int, frame: bytes) -> bytes | None:
         """A frame without its signature; None if it is refused."""
         verdict = signer.check(frame, time_us)
+        if signer is self._strangers and verdict is Verdict.GENUINE and self._signer.knows_newer(frame):
+            verdict = Verdict.REPLAYED
         if verdict is Verdict.GENUINE:
             self._compare_clocks(time_us, frame)
             return without_signature(frame)
-        if not checksum_fits(frame):
-            return None  # damaged on the way; nobody's fault
+        if not checksum_fits(frame) or frame in self._sent:
+            return None  # damaged on the way, or an echo; nobody's fault
         radio = message_id(frame) == mavlink.MAVLINK_MSG_ID_RADIO_STATUS and sender(frame) == SIK_RADIO
         if radio and verdict is Verdict.UNSIGNED:
             return frame
@@ -230,6 +239,7 @@ _REMEDY = {
     Verdict.FORGED: "has it the same key?",
     Verdict.REPLAYED: "messages come twice or in another order, or somebody sends recorded ones",
     Verdict.OUTDATED: "its clock is wrong, or somebody sends recorded messages",
+    Verdict.ENDLESS: "its clock or its stored timestamp is wrong; from there nobody could go on",
 }
 
 
@@ -263,7 +273,9 @@ def _read_timestamp(path: Path | None) -> int:
         text = path.read_text(encoding="ascii").strip()
         if not text.isdigit() or len(text) > 15:
             raise ValueError
-        return min(int(text), (1 << 48) - 1)
+        if int(text) > LATEST:
+            raise ValueError
+        return int(text)
     except FileNotFoundError:
         return 0
     except ValueError as error:

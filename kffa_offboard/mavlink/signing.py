@@ -30,6 +30,10 @@ SIGNATURE_SIZE = 13
 """Link id, 6 bytes of timestamp, 6 bytes of signature."""
 
 _LARGEST = (1 << 48) - 1
+
+LATEST = _LARGEST - 365 * 86_400 * UNITS_PER_SECOND
+"""In 2103, a year before timestamps end: whoever goes on from a later one has soon none left."""
+
 _MARKER_V1, _MARKER_V2 = 0xFE, 0xFD
 _OVERHEAD_V1, _OVERHEAD_V2 = 8, 12
 _HASH_SIZE = 6
@@ -43,6 +47,7 @@ class Verdict(Enum):
     FORGED = "wrong signature"
     REPLAYED = "older than its sender's last"
     OUTDATED = "more than a minute old"
+    ENDLESS = "timestamp of the year 2103"
 
 
 def timestamp_at(time_us: int) -> int:
@@ -109,7 +114,9 @@ class Signer:
         crc_extra = mavlink.mavlink_map[message_id(frame)].crc_extra
         signed = frame[:1] + head + checksum(head, crc_extra) + self._link_id
         signed += self.timestamp.to_bytes(6, "little")
-        return signed + self._signature(signed)
+        signed += self._signature(signed)
+        self._newest[_stream(signed)] = self.timestamp  # what comes back of ours later is a recording
+        return signed
 
     def check(self, frame: bytes, time_us: int) -> Verdict:
         """Judge a whole frame; one that is genuine is so only once."""
@@ -117,20 +124,34 @@ class Signer:
             return Verdict.UNSIGNED
         if not hmac.compare_digest(self._signature(frame[:-_HASH_SIZE]), frame[-_HASH_SIZE:]):
             return Verdict.FORGED
-        timestamp = int.from_bytes(frame[-12:-6], "little")
-        stream = (frame[-SIGNATURE_SIZE], frame[5], frame[6])
-        newest = self._newest.get(stream)
+        timestamp, stream = _timestamp(frame), _stream(frame)
+        if timestamp > LATEST:
+            return Verdict.ENDLESS
         now = max(timestamp_at(time_us), self.timestamp)
-        if newest is None and timestamp + NEW_SENDER_WINDOW < now:
+        if stream not in self._newest and timestamp + NEW_SENDER_WINDOW < now:
             return Verdict.OUTDATED
-        if newest is not None and timestamp <= newest:
+        if self.knows_newer(frame):
             return Verdict.REPLAYED
         self._newest[stream] = timestamp
         self.timestamp = max(self.timestamp, timestamp)
         return Verdict.GENUINE
 
+    def knows_newer(self, frame: bytes) -> bool:
+        """True if a signed frame is not newer than the last one of its sender and link id."""
+        newest = self._newest.get(_stream(frame))
+        return newest is not None and _timestamp(frame) <= newest
+
     def _signature(self, covered: bytes) -> bytes:
         return hashlib.sha256(self._key.reveal() + covered).digest()[:_HASH_SIZE]
+
+
+def _timestamp(frame: bytes) -> int:
+    return int.from_bytes(frame[-12:-6], "little")
+
+
+def _stream(frame: bytes) -> tuple[int, int, int]:
+    """Link id, system and component of a signed frame: what has a time of its own."""
+    return frame[-SIGNATURE_SIZE], frame[5], frame[6]
 
 
 def without_signature(frame: bytes) -> bytes | None:

@@ -6,6 +6,9 @@ import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
+from kffa_offboard.mavlink.component import Component, Route
+from kffa_offboard.mavlink.reception import Reception
+from kffa_offboard.mavlink.rivals import RivalWatch
 from kffa_offboard.mavlink.signed_link import SignedLink, SigningSettings, clock_problem, sign_link
 from kffa_offboard.mavlink.signing import Signer, Verdict, timestamp_at
 from kffa_offboard.mavlink.signing_key import SigningKey
@@ -184,6 +187,49 @@ def test_a_strangers_genuine_frames_do_not_make_the_vehicles_look_old(link, wire
     assert link.refused == {}
 
 
+@pytest.mark.parametrize("silent_us", [0, 4_000_000])
+def test_recorded_frames_from_elsewhere_are_no_second_vehicle_and_take_no_link(link, wire, silent_us):
+    """They forbade engaging, and after 3 s of silence the link followed them."""
+    reception = reception_on(link)
+    recorded = [Vehicle().frame() for _ in range(3)]
+    for datagram in arrive(link, wire, *recorded):
+        reception.read(datagram)
+    for frame in recorded:
+        for datagram in arrive(link, wire, frame, source="elsewhere", stranger=True):
+            assert reception.read(datagram._replace(time_us=NOW_US + silent_us)) == []
+    assert wire.locked == "vehicle"
+    noticed = [(notice.text, notice.consequence) for notice in reception.take_notices()]
+    assert noticed == [(f"refusing 1/1: {Verdict.REPLAYED.value}", "said")]
+
+
+def test_recorded_frames_of_ours_are_no_second_daemon(link, wire):
+    """They forbade engaging."""
+    rivals = RivalWatch(Route())
+    reception = reception_on(link, rivals)
+    own = Component(Route())
+    for number in range(300):
+        frame = own.pack(mavlink.MAVLink_statustext_message(6, f"{number}".encode(), 0, 0))
+        rivals.note_sent(frame)
+        link.send(frame)
+    for frame in wire.sent:
+        for datagram in arrive(link, wire, frame):
+            assert reception.read(datagram) == []
+    noticed = [(notice.text, notice.consequence) for notice in reception.take_notices()]
+    assert noticed == [(f"refusing 245/191: {Verdict.REPLAYED.value}", "said")]
+
+
+def test_an_echo_of_what_we_send_is_not_worth_a_word(link, wire, caplog):
+    own = Component(Route())
+    for _ in range(3):
+        link.send(own.pack(mavlink.MAVLink_heartbeat_message(18, 8, 0, 0, 3, 3)))
+        assert arrive(link, wire, wire.sent[-1]) == []
+    assert link.refused == {} and caplog.records == []
+
+
+def reception_on(link, rivals=None):
+    return Reception(link, Route(), rivals or RivalWatch(Route()))
+
+
 # ----------------------------------------------------------------------------- from files, and clocks
 
 
@@ -217,7 +263,7 @@ def test_a_killed_daemon_left_its_start_behind(wire, settings):
     assert int(settings.timestamp_file.read_text()) == timestamp_at(NOW_US)
 
 
-@pytest.mark.parametrize("content", ["yesterday", "-5", "1" * 40, "\u0661"])
+@pytest.mark.parametrize("content", ["yesterday", "-5", "1" * 40, "\u0661", str((1 << 48) - 1)])
 def test_a_timestamp_file_that_holds_none_is_an_error(wire, settings, content):
     settings.timestamp_file.write_text(content)
     with pytest.raises(UserError, match=r"holds no timestamp; remove it"):

@@ -150,6 +150,21 @@ def test_a_late_clock_is_understood_once_it_has_heard_the_vehicle():
     assert vehicle.takes(late.sign(frame, year_1970)).get_signed()
 
 
-def test_the_last_timestamp_there_is_does_not_overflow(signer):
-    assert signer.check(Other(timestamp=(1 << 48) - 1).pack(), NOW_US) is Verdict.GENUINE
+@pytest.mark.parametrize(("before_the_end", "verdict"), [(1, Verdict.ENDLESS), (3650, Verdict.GENUINE)])
+def test_nobody_with_the_key_takes_us_to_the_end_of_time(signer, before_the_end, verdict):
+    """Every frame of ours would have had the last timestamp there is: the vehicle had refused all but one."""
+    late = Other(timestamp=(1 << 48) - 1 - before_the_end * 86_400 * SECOND)
+    assert signer.check(late.pack(), NOW_US) is verdict
+    first, second = (signer.sign(unsigned(MESSAGES[0]), NOW_US)[-12:-6] for _ in range(2))
+    assert int.from_bytes(second, "little") == int.from_bytes(first, "little") + 1
+
+
+def test_the_last_timestamp_there_is_does_not_overflow():
+    signer = Signer(KEY, timestamp=(1 << 48) - 1)
     assert len(signer.sign(unsigned(MESSAGES[0]), NOW_US)) == len(unsigned(MESSAGES[0])) + 13
+    assert signer.check(Other(timestamp=(1 << 48) - 1).pack(), NOW_US) is Verdict.ENDLESS
+
+
+def test_what_we_signed_ourselves_is_not_genuine_when_it_comes_back(signer):
+    recorded = [signer.sign(unsigned(message), NOW_US) for message in MESSAGES]
+    assert {signer.check(frame, NOW_US) for frame in recorded} == {Verdict.REPLAYED}
