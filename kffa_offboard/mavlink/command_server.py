@@ -126,6 +126,7 @@ class CommandServer:
         self._streams = streams
         self._state = OwnHeartbeat("standby")
         self._pending: Request | None = None
+        self._time_us = 0
         self._answered: dict[str, tuple[int, int, int]] = {}  # when, its sequence number, the result
         self._handlers: dict[int, Callable[[Request], Answer]] = {
             mavlink.MAV_CMD_NAV_GUIDED_ENABLE: self._switch,
@@ -157,7 +158,7 @@ class CommandServer:
         ):
             return None
         request = read_request(message)
-        self._pending = request
+        self._pending, self._time_us = request, time_us
         result = self._result_before(time_us, request)
         if result is not None:
             answer = Answer(result)
@@ -249,6 +250,8 @@ class CommandServer:
             if action == WRITE:
                 return Answer(ACCEPTED, [Announce(Severity.INFO, self._parameters.store())])
             if action in (READ, RESET):
+                if not self._parameters.takes_change(self._time_us):
+                    return Answer(REJECTED)
                 stored = action == READ
                 events = tuple(self._parameters.reset(stored=stored))
                 return Answer(ACCEPTED, events=events)

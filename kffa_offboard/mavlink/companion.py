@@ -197,7 +197,9 @@ class Companion:
             self._say_once(f"parameters of {_sender(message)} not allowed")
             self._replies += self._parameters.unchanged(message)
         else:
-            replies, events = self._parameters.set(message)
+            replies, events = self._parameters.set(time_us, message)
+            if not (replies or events):
+                self._say_once("PARAM_SET: more than 20 a second are not answered; send them again")
             self._replies += replies
             return list(events)
         return []

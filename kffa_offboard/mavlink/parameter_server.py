@@ -24,6 +24,11 @@ LIST_PERIOD_US = 50_000
 LIST_AT_ONCE = 5
 """Of a list so many go out every `LIST_PERIOD_US`: 100 per second, 4 kB/s."""
 
+CHANGE_PERIOD_US = 50_000
+CHANGES_AT_ONCE = 5
+"""Working out other values takes half a control period: more often than this, and after so many at once, it
+is not done, as if the request had been lost."""
+
 REAL32 = mavlink.MAV_PARAM_TYPE_REAL32
 
 
@@ -62,8 +67,8 @@ class ParameterServer:
 
     def __init__(self, tuning: Tuning | None) -> None:
         self.tuning = tuning
-        self._next_index: int | None = None
-        self._due_us = 0
+        self._next_index = self._remaining = 0
+        self._due_us = self._changes_until_us = 0
         self._change: _Change | None = None
 
     @property
@@ -72,21 +77,25 @@ class ParameterServer:
         return () if self.tuning is None else self.tuning.tunables
 
     def request_list(self, time_us: int) -> None:
-        """Begin the list, anew if one is under way."""
-        if self.tunables:
-            self._next_index, self._due_us = 0, time_us
+        """Begin the list; one that is under way goes on from where it is, all around.
+
+        So everybody who asks gets all of it, and it comes no faster however often that is.
+        """
+        if self._remaining == 0:
+            self._next_index, self._due_us = 0, max(time_us, self._due_us)
+        self._remaining = len(self.tunables)
 
     def next_deadline(self) -> int | None:
         """When the next part of the list is due."""
-        return None if self._next_index is None else self._due_us
+        return self._due_us if self._remaining else None
 
     def advance(self, time_us: int) -> list[Reply]:
         """The part of the list that is due."""
-        if self._next_index is None or time_us < self._due_us:
+        if self._remaining == 0 or time_us < self._due_us:
             return []
-        end = min(self._next_index + LIST_AT_ONCE, len(self.tunables))
-        part: list[Reply] = [self._value(index) for index in range(self._next_index, end)]
-        self._next_index = end if end < len(self.tunables) else None
+        count, total = min(LIST_AT_ONCE, self._remaining), len(self.tunables)
+        part: list[Reply] = [self._value((self._next_index + k) % total) for k in range(count)]
+        self._next_index, self._remaining = (self._next_index + count) % total, self._remaining - count
         self._due_us += LIST_PERIOD_US
         return part
 
@@ -103,8 +112,19 @@ class ParameterServer:
         index = self._index(message.param_id)
         return [] if index is None else [self._value(index)]
 
-    def set(self, message: Message) -> tuple[list[Reply], list[SettingsChanged]]:
-        """Answer PARAM_SET; or tell the service that something is other than before, and see `conclude`."""
+    def takes_change(self, time_us: int) -> bool:
+        """True if there is time for one more change now; then it counts."""
+        until_us = max(self._changes_until_us, time_us) + CHANGE_PERIOD_US
+        if until_us - time_us > CHANGES_AT_ONCE * CHANGE_PERIOD_US:
+            return False
+        self._changes_until_us = until_us
+        return True
+
+    def set(self, time_us: int, message: Message) -> tuple[list[Reply], list[SettingsChanged]]:
+        """Answer PARAM_SET; or tell the service that something is other than before, and see `conclude`.
+
+        What comes too often is not answered: whoever sent it sends it again, or sees that it was not done.
+        """
         name = message.param_id
         index = self._index(name)
         if index is None or self.tuning is None:
@@ -114,6 +134,8 @@ class ParameterServer:
         if message.param_type != REAL32:
             problem = f"type {message.param_type}: parameters are REAL32 ({REAL32})"
         elif value != decimal(before):
+            if not self.takes_change(time_us):
+                return [], []
             try:
                 tuning = self.tuning.with_value(name, value)
             except TuningProblem as error:

@@ -296,6 +296,37 @@ def test_a_daemon_without_parameters_says_so(scripted, read):
     assert talk.sent("COMMAND_ACK")[0].result == mavlink.MAV_RESULT_FAILED
 
 
+def test_two_ground_stations_that_keep_asking_for_the_list_get_all_of_it_at_its_own_pace(talk):
+    """Each request began it anew and sent its first part at once: nobody got past that."""
+    for _ in range(100):
+        talk.time_us += 10_000
+        for sender in (talk.ground, talk._scripted(254, 190)):
+            talk.hear(sender, mavlink.MAVLink_param_request_list_message(245, 191))
+        talk.session.advance(talk.time_us)
+    values = talk.sent("PARAM_VALUE")
+    assert {value.param_index for value in values} == set(range(len(CONFIG.tuning.tunables)))
+    assert len(values) <= 105, "100 a second"
+
+
+def test_more_changes_than_there_is_time_for_are_as_if_lost(talk):
+    """Each takes milliseconds: two ground stations at 100 Hz kept control from running."""
+    wanted = [7.0, 9.0]
+    for _ in range(100):
+        talk.time_us += 10_000
+        for value in wanted:
+            talk.hear(talk.ground, mavlink.MAVLink_param_set_message(245, 191, b"ALT_OMEGA_C", value, 9))
+    said = "".join(message.text for message in talk.sent("STATUSTEXT"))
+    assert 15 <= said.count("->") <= 25, "20 a second"
+    assert said.count("PARAM_SET: more than 20 a second are not answered; send them again") == 1
+    before = len(talk.sent("COMMAND_ACK"))
+    for _ in range(20):
+        talk.hear(talk.ground, command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2.0))
+    results = [answer.result for answer in talk.sent("COMMAND_ACK")[before:]]
+    assert results.count(mavlink.MAV_RESULT_TEMPORARILY_REJECTED) >= 15
+    talk.time_us += 1_000_000
+    assert set_bandwidth(talk, b"ALT_OMEGA_C", 7.5)[0] == 7.5
+
+
 number = st.floats(width=32) | st.integers(-5, 600).map(float)
 names = st.sampled_from([tunable.name.encode() for tunable in CONFIG.tuning.tunables])
 byte, index = st.integers(0, 255), st.integers(-(2**15), 2**15 - 1)

@@ -27,7 +27,7 @@ def ask(server, scripted):
 
     def ask(name, value, kind=REAL32):
         message = mavlink.MAVLink_param_set_message(245, 191, name, value, kind)
-        return server.set(ground.over_the_wire(message))
+        return server.set(0, ground.over_the_wire(message))
 
     return ask
 
@@ -94,6 +94,6 @@ def test_whatever_is_set_every_value_stays_one_that_the_configuration_allows(dat
         name, value = data.draw(st.sampled_from(names)), data.draw(st.floats(width=32))
         message = mavlink.MAVLink_param_set_message(245, 191, name.encode(), value, REAL32)
         codec = mavlink.MAVLink(None, 255, 190)
-        server.set(mavlink.MAVLink(None).decode(bytearray(message.pack(codec))))
+        server.set(0, mavlink.MAVLink(None).decode(bytearray(message.pack(codec))))
     assert all(math.isfinite(tunable.value) for tunable in server.tunables)
     assert server.tuning.with_value(names[0], server.tunables[0].value) is not None  # the checks still hold
