@@ -9,7 +9,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from kffa_offboard.control.retuning import as_before
-from kffa_offboard.offboard import admission, events, external, parameters, rivals, telemetry
+from kffa_offboard.offboard import admission, events, external, parameters, rivals, steps, telemetry
 from kffa_offboard.offboard.events import AttitudeSetpoint, Event, PositionSetpoint, Severity
 from kffa_offboard.offboard.flight import Directive, Phase
 from kffa_offboard.offboard.guard import Wish, check_wish
@@ -51,7 +51,7 @@ class RequestSession(PayloadSession):
         refusal = admission.unbearable(self.settings, settings, self._known, latency_s, self._link, time_us)
         if self._loop is not None and self._loop.carrying is not None:
             refusal = refusal or admission.too_weak(settings.limits, self._loop.carrying.thrust)
-        refusal = refusal or admission.too_far(self.settings.controller, settings.controller, self._original)
+        refusal = refusal or steps.too_far(self.settings, settings, self._original)
         if refusal is not None and self.state in SENDING:
             self._emit(events.RequestRefused(refusal))
             return

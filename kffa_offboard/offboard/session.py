@@ -50,7 +50,7 @@ class Session:
 
     def __init__(self, settings: ServiceSettings) -> None:
         self.settings = settings
-        self._original = settings.controller
+        self._original = settings
         self.state = State.WAITING
         self.finished: Finished | None = None
         self._now_us: int | None = None

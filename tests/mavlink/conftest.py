@@ -5,8 +5,13 @@ from __future__ import annotations
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.config import bundled, load
+from kffa_offboard.config_log import make_companion
 from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.session import Session
 from kffa_offboard.mavlink.telemetry import TelemetryDecoder
+from kffa_offboard.offboard.events import Signals
+from kffa_offboard.offboard.service import Service, State
 
 PX4_OFFBOARD = 6 << 16
 PX4_HOLD = 3 << 24 | 4 << 16
@@ -78,3 +83,90 @@ def route():
 @pytest.fixture
 def telemetry():
     return TelemetryDecoder()
+
+
+# --------------------------------------------------------------------------- talking to the daemon
+
+CONFIG = load(bundled("demo-px4.toml"))
+START_US = 1_700_000_000_000_000
+LATE_US = 30_000  # age of a sample when it arrives
+
+
+class ListLink:
+    name = "test"
+    keeps_frames_whole = True
+    trouble = ""
+
+    def __init__(self):
+        self.sent = []
+
+    def send(self, data):
+        self.sent.append(data)
+        return True
+
+    def lock(self, source):
+        pass
+
+
+class Talk:
+    """A session with a scripted PX4 in the air, its telemetry, and a ground station."""
+
+    def __init__(self, config=CONFIG, **options):
+        self.autopilot, self.ground = ScriptedAutopilot(), ScriptedAutopilot(255, 190)
+        self.config, self.time_us = config, START_US
+        self.link, self.signals = ListLink(), []
+        self.session = Session(
+            Service(config.service),
+            self.link,
+            Route(),
+            companion=make_companion(config, Route()),
+            observer=lambda time_us, item: self.signals.append(item) if isinstance(item, Signals) else None,
+            **options,
+        )
+        self.hear(self.autopilot, ScriptedAutopilot.heartbeat(armed=True))
+
+    def hear(self, sender, message):
+        self.session.handle(self.time_us, read_frames(sender.pack(message))[0])
+
+    def telemetry(self, seconds):
+        """Attitude and position at 100 Hz, sampled `LATE_US` before they arrive; a heartbeat each second."""
+        for k in range(round(seconds * 100)):
+            self.time_us += 10_000
+            self.session.advance(self.time_us)
+            boot_ms = (self.time_us - START_US + 10_000_000 - LATE_US) // 1000
+            self.hear(self.autopilot, ScriptedAutopilot.attitude(boot_ms))
+            position = mavlink.MAVLink_local_position_ned_message(boot_ms, 0, 0, -5.0, 0, 0, 0)
+            self.hear(self.autopilot, position)
+            if k % 100 == 0:
+                self.hear(self.autopilot, ScriptedAutopilot.heartbeat(armed=True))
+
+    def sent(self, kind):
+        frames = [read_frames(data)[0] for data in self.link.sent]
+        return [message for message in frames if message.get_type() == kind]
+
+    def engage(self):
+        """Take control in the air."""
+        self.telemetry(3.0)
+        flies = mavlink.MAV_LANDED_STATE_IN_AIR
+        self.hear(self.autopilot, mavlink.MAVLink_extended_sys_state_message(0, flies))
+        engage = mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 0, 1.0, *[0.0] * 6
+        self.hear(self.ground, mavlink.MAVLink_command_long_message(245, 191, *engage))
+        assert self.session.service.state is State.ENGAGING
+
+    def set(self, name, value):
+        """Set a parameter: the value that is answered, and what is said."""
+        self.link.sent.clear()
+        self.hear(self.ground, mavlink.MAVLink_param_set_message(245, 191, name, value, 9))
+        (answered,) = self.sent("PARAM_VALUE")
+        return answered.param_value, "".join(said.text for said in self.sent("STATUSTEXT"))
+
+
+@pytest.fixture
+def new_talk():
+    """Begins a conversation; its options are `Session`'s."""
+    return Talk
+
+
+@pytest.fixture
+def talk():
+    return Talk()

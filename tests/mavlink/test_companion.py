@@ -10,10 +10,8 @@ from hypothesis import strategies as st
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.config import bundled, load
-from kffa_offboard.config_log import make_companion
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.session import Session
-from kffa_offboard.offboard.events import Signals
 from kffa_offboard.offboard.service import Service, State
 
 CONFIG = load(bundled("demo-px4.toml"))
@@ -21,72 +19,13 @@ START_US = 1_700_000_000_000_000
 LATE_US = 30_000  # age of a sample when it arrives
 
 
-class ListLink:
-    name = "test"
-    keeps_frames_whole = True
-    trouble = ""
-
-    def __init__(self):
-        self.sent = []
-
-    def send(self, data):
-        self.sent.append(data)
-        return True
-
-    def lock(self, source):
-        pass
-
-
-class Talk:
-    """A session with a scripted PX4 in the air, its telemetry, and a ground station."""
-
-    def __init__(self, scripted, read, **options):
-        self.autopilot, self.ground = scripted(), scripted(255, 190)
-        self._scripted, self._read = scripted, read
-        self.time_us = START_US
-        self.link, self.signals = ListLink(), []
-        self.session = Session(
-            Service(CONFIG.service),
-            self.link,
-            Route(),
-            companion=make_companion(CONFIG, Route()),
-            observer=lambda time_us, item: self.signals.append(item) if isinstance(item, Signals) else None,
-            **options,
-        )
-        self.hear(self.autopilot, scripted.heartbeat(armed=True))
-
-    def hear(self, sender, message):
-        self.session.handle(self.time_us, self._read(sender.pack(message))[0])
-
-    def telemetry(self, seconds):
-        """Attitude and position at 100 Hz, sampled `LATE_US` before they arrive; a heartbeat each second."""
-        for k in range(round(seconds * 100)):
-            self.time_us += 10_000
-            self.session.advance(self.time_us)
-            boot_ms = (self.time_us - START_US + 10_000_000 - LATE_US) // 1000
-            self.hear(self.autopilot, self._scripted.attitude(boot_ms))
-            position = mavlink.MAVLink_local_position_ned_message(boot_ms, 0, 0, -5.0, 0, 0, 0)
-            self.hear(self.autopilot, position)
-            if k % 100 == 0:
-                self.hear(self.autopilot, self._scripted.heartbeat(armed=True))
-
-    def sent(self, kind):
-        frames = [self._read(data)[0] for data in self.link.sent]
-        return [message for message in frames if message.get_type() == kind]
-
-
-@pytest.fixture
-def talk(scripted, read):
-    return Talk(scripted, read)
-
-
 def command(number, *parameters, system=245, component=191, again=0):
     padded = (*parameters, *[0.0] * (7 - len(parameters)))
     return mavlink.MAVLink_command_long_message(system, component, number, again, *padded)
 
 
-def test_latency_is_the_samples_age_and_the_way_out(scripted, read):
-    talk = Talk(scripted, read, compare_clocks=True)
+def test_latency_is_the_samples_age_and_the_way_out(new_talk, scripted):
+    talk = new_talk(compare_clocks=True)
     talk.telemetry(0.2)
     assert math.isnan(talk.signals[-1].latency_s)
     round_trips_s = []
@@ -104,66 +43,10 @@ def test_latency_is_the_samples_age_and_the_way_out(scripted, read):
     assert talk.signals[-1].latency_s == pytest.approx(LATE_US * 1e-6 + way_out_s, abs=1e-3)
 
 
-def engage(talk):
-    """Take control in the air."""
-    talk.telemetry(3.0)
-    flies = mavlink.MAV_LANDED_STATE_IN_AIR
-    talk.hear(talk.autopilot, mavlink.MAVLink_extended_sys_state_message(0, flies))
-    talk.hear(talk.ground, command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0))
-    assert talk.session.service.state is State.ENGAGING
-
-
-def set_bandwidth(talk, name, value):
-    """Set it: the value that is answered, and what is said."""
-    talk.link.sent.clear()
-    talk.hear(talk.ground, mavlink.MAVLink_param_set_message(245, 191, name, value, 9))
-    (answered,) = talk.sent("PARAM_VALUE")
-    return answered.param_value, "".join(said.text for said in talk.sent("STATUSTEXT"))
-
-
-def test_a_bandwidth_that_the_telemetry_does_not_bear_is_refused_in_flight(talk):
-    talk.telemetry(3.0)
-    (before,) = (t.value for t in CONFIG.tuning.tunables if t.name == "ROLL_OMEGA_O")
-    set_bandwidth(talk, b"ROLL_OMEGA_O", 260.0)
-    assert set_bandwidth(talk, b"ROLL_OMEGA_O", before)[0] == before, "while it waits anything goes"
-    engage(talk)
-    flown = talk.session.service.settings
-    refused = "ROLL_OMEGA_O refused: 260: attitude at 100 Hz; omega_o = 260 needs 104"
-    assert set_bandwidth(talk, b"ROLL_OMEGA_O", 260.0) == (before, refused)
-    assert talk.session.service.settings is flown
-    assert set_bandwidth(talk, b"ROLL_OMEGA_O", 240.0) == (240.0, f"ROLL_OMEGA_O {before:g} -> 240")
-
-
-def test_stored_values_that_the_telemetry_does_not_bear_are_not_read_in_flight(talk, monkeypatch):
-    engage(talk)
-    quick = CONFIG.tuning.with_value("YAW_OMEGA_O", 300.0)
-    monkeypatch.setattr(type(quick), "original", lambda tuning: quick)
-    talk.link.sent.clear()
-    talk.hear(talk.ground, command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2.0))
-    assert [answer.result for answer in talk.sent("COMMAND_ACK")] == [mavlink.MAV_RESULT_TEMPORARILY_REJECTED]
-    texts = "".join(said.text for said in talk.sent("STATUSTEXT"))
-    assert texts == "parameters stay: attitude at 100 Hz; omega_o = 300 needs 120"
-    assert talk.session.service.settings is CONFIG.service
-
-
-def test_a_parameter_set_in_flight_leaves_what_was_worked_out_for_the_others(talk):
-    """The gains of a Kalman filter cost milliseconds, which are the next control step's."""
-    engage(talk)
-    before = talk.session.service.settings
-    set_bandwidth(talk, b"ALT_OMEGA_C", 6.0)
-    after = talk.session.service.settings
-    assert after.controller.law.omega_c[3] == 6.0
-    for part in ("kalman", "model", "observer", "actuator", "differentiator", "fuzzy", "limits"):
-        assert getattr(after.controller, part) is getattr(before.controller, part), part
-    set_bandwidth(talk, b"LIM_FENCE_M", 50.0)
-    assert talk.session.service.settings.limits.fence_radius_m == 50.0
-    assert talk.session.service.settings.controller is after.controller
-
-
-def test_clocks_are_compared_five_times_a_second_and_never_unless_told(scripted, read, talk):
+def test_clocks_are_compared_five_times_a_second_and_never_unless_told(new_talk, talk):
     talk.telemetry(3.0)
     assert talk.sent("TIMESYNC") == []
-    comparing = Talk(scripted, read, compare_clocks=True)
+    comparing = new_talk(compare_clocks=True)
     comparing.telemetry(3.0)
     requests = comparing.sent("TIMESYNC")
     assert [(message.tc1, message.ts1 // 1000 - START_US) for message in requests] == [
@@ -171,8 +54,8 @@ def test_clocks_are_compared_five_times_a_second_and_never_unless_told(scripted,
     ]
 
 
-def test_a_restarted_autopilots_clock_gives_no_latency_instead_of_a_wrong_one(scripted, read):
-    talk = Talk(scripted, read, compare_clocks=True)
+def test_a_restarted_autopilots_clock_gives_no_latency_instead_of_a_wrong_one(new_talk, scripted):
+    talk = new_talk(compare_clocks=True)
     talk.telemetry(0.5)
     asked = talk.sent("TIMESYNC")[-1]
     talk.hear(talk.autopilot, scripted.timesync(asked.ts1, 10**18))
@@ -202,8 +85,8 @@ def test_engaging_too_early_is_temporarily_rejected_and_later_accepted(talk):
     assert any(message.text.startswith("not engaged: ") for message in talk.sent("STATUSTEXT"))
 
 
-def test_engaging_in_shadow_mode_is_denied_for_good(scripted, read):
-    talk = Talk(scripted, read)
+def test_engaging_in_shadow_mode_is_denied_for_good(new_talk):
+    talk = new_talk()
     talk.session.service.settings = replace(CONFIG.service, shadow=True)
     talk.hear(talk.ground, command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0))
     talk.hear(talk.ground, command(mavlink.MAV_CMD_DO_GRIPPER, 1.0, 0.0))
@@ -221,13 +104,13 @@ def test_a_repeated_command_is_answered_again_but_a_new_one_is_done(talk):
     assert [message.param2 for message in grippers] == [0.0, 1.0, 0.0]
 
 
-def test_a_repetition_is_known_whatever_others_have_asked_since(talk):
+def test_a_repetition_is_known_whatever_others_have_asked_since(talk, scripted):
     """Two ground stations: while one waits for its answer, the other one talks, too."""
-    engage(talk)
-    other = talk._scripted(254, 190)
+    talk.engage()
+    other = scripted(254, 190)
     talk.hear(other, command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_HEARTBEAT))
     talk.hear(talk.ground, command(mavlink.MAV_CMD_REQUEST_MESSAGE, mavlink.MAVLINK_MSG_ID_HEARTBEAT))
-    talk.hear(talk.autopilot, talk._scripted.heartbeat(custom_mode=3 << 16, armed=True))  # the pilot's mode
+    talk.hear(talk.autopilot, scripted.heartbeat(custom_mode=3 << 16, armed=True))  # the pilot's mode
     assert talk.session.service.state is State.READY
     talk.hear(talk.ground, command(mavlink.MAV_CMD_NAV_GUIDED_ENABLE, 1.0, again=1))
     assert talk.session.service.state is State.READY, "the pilot has it"
@@ -247,14 +130,14 @@ def test_repetitions_three_seconds_apart_are_one_command(talk):
 
 
 @pytest.mark.parametrize("way", ["COMMAND_LONG", "COMMAND_INT"])
-def test_a_frame_that_comes_by_two_ways_is_one_command(talk, way):
+def test_a_frame_that_comes_by_two_ways_is_one_command(talk, read, way):
     release = command(mavlink.MAV_CMD_DO_GRIPPER, 1.0, 0.0)
     if way == "COMMAND_INT":
         asked = (245, 191, 0, mavlink.MAV_CMD_DO_GRIPPER, 0, 0, 1.0, 0.0, 0, 0, 0, 0, 0)
         release = mavlink.MAVLink_command_int_message(*asked)
     frame = talk.ground.pack(release)
     for _ in range(2):
-        talk.session.handle(talk.time_us, talk._read(frame)[0])
+        talk.session.handle(talk.time_us, read(frame)[0])
         talk.telemetry(0.2)
     talk.hear(talk.ground, release)
     assert [answer.result for answer in talk.sent("COMMAND_ACK")] == [mavlink.MAV_RESULT_ACCEPTED] * 3
@@ -286,45 +169,14 @@ def test_storing_without_a_file_fails_with_the_remedy(talk):
     assert text == "nowhere to store: no [parameters] file in the configuration"
 
 
-def test_a_daemon_without_parameters_says_so(scripted, read):
-    talk = Talk(scripted, read)
+def test_a_daemon_without_parameters_says_so(new_talk):
+    talk = new_talk()
     talk.session = Session(Service(CONFIG.service), talk.link, Route())
     talk.hear(talk.ground, mavlink.MAVLink_param_request_list_message(245, 191))
     talk.hear(talk.ground, mavlink.MAVLink_param_request_read_message(245, 191, b"ALT_OMEGA_C", -1))
     talk.hear(talk.ground, command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2.0))
     assert talk.sent("PARAM_VALUE") == []
     assert talk.sent("COMMAND_ACK")[0].result == mavlink.MAV_RESULT_FAILED
-
-
-def test_two_ground_stations_that_keep_asking_for_the_list_get_all_of_it_at_its_own_pace(talk):
-    """Each request began it anew and sent its first part at once: nobody got past that."""
-    for _ in range(100):
-        talk.time_us += 10_000
-        for sender in (talk.ground, talk._scripted(254, 190)):
-            talk.hear(sender, mavlink.MAVLink_param_request_list_message(245, 191))
-        talk.session.advance(talk.time_us)
-    values = talk.sent("PARAM_VALUE")
-    assert {value.param_index for value in values} == set(range(len(CONFIG.tuning.tunables)))
-    assert len(values) <= 105, "100 a second"
-
-
-def test_more_changes_than_there_is_time_for_are_as_if_lost(talk):
-    """Each takes milliseconds: two ground stations at 100 Hz kept control from running."""
-    wanted = [7.0, 9.0]
-    for _ in range(100):
-        talk.time_us += 10_000
-        for value in wanted:
-            talk.hear(talk.ground, mavlink.MAVLink_param_set_message(245, 191, b"ALT_OMEGA_C", value, 9))
-    said = "".join(message.text for message in talk.sent("STATUSTEXT"))
-    assert 15 <= said.count("->") <= 25, "20 a second"
-    assert said.count("PARAM_SET: more than 20 a second are not answered; send them again") == 1
-    before = len(talk.sent("COMMAND_ACK"))
-    for _ in range(20):
-        talk.hear(talk.ground, command(mavlink.MAV_CMD_PREFLIGHT_STORAGE, 2.0))
-    results = [answer.result for answer in talk.sent("COMMAND_ACK")[before:]]
-    assert results.count(mavlink.MAV_RESULT_TEMPORARILY_REJECTED) >= 15
-    talk.time_us += 1_000_000
-    assert set_bandwidth(talk, b"ALT_OMEGA_C", 7.5)[0] == 7.5
 
 
 number = st.floats(width=32) | st.integers(-5, 600).map(float)
@@ -377,8 +229,8 @@ anything = st.one_of(
 
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.lists(anything, max_size=12), st.booleans())
-def test_whatever_somebody_sends_the_daemon_flies_on(scripted, read, messages, as_autopilot):
-    talk = Talk(scripted, read, compare_clocks=True)
+def test_whatever_somebody_sends_the_daemon_flies_on(new_talk, messages, as_autopilot):
+    talk = new_talk(compare_clocks=True)
     for message in messages:
         talk.hear(talk.autopilot if as_autopilot else talk.ground, message)
         talk.telemetry(0.03)

@@ -207,6 +207,25 @@ def test_a_plant_that_is_farther_away_is_refused_in_flight(fake, output, changes
     assert asked(fake, output, **changes) == ([reason], False)
 
 
+@pytest.mark.parametrize(
+    ("output", "omega_c", "said"),
+    [
+        ("attitude", 2.4, ["roll: omega_c from 6 to 2.4; go in steps of 2 times at most"]),
+        ("attitude", 12.5, ["roll: omega_c from 6 to 12.5; go in steps of 2 times at most"]),
+        ("attitude", 3.1, []),
+        ("rates", 2.4, []),
+    ],
+)
+def test_beside_the_autopilots_own_hold_a_bandwidth_goes_in_steps(fake, output, omega_c, said):
+    """A quarter, or 2.7 times as much, swung the vehicle by 0.4 rad if the natural frequency was off, too."""
+    flight = fake.Lockstep(fake.settings(output), fake.airborne()).run_to(State.ENGAGED)
+    controller = flight.service.settings.controller
+    law = replace(controller.law, omega_c=np.array([omega_c, *controller.law.omega_c[1:]]))
+    changed = replace(flight.service.settings, controller=replace(controller, law=law))
+    flight.give(events.SettingsChanged(changed))
+    assert [refused.reason for _, refused in flight.sent(events.RequestRefused)] == said
+
+
 def test_back_to_what_the_run_began_with_it_goes_at_once(fake):
     flight = fake.Lockstep(fake.settings(), fake.airborne()).run_to(State.ENGAGED)
     for times in (1.4, 1.9, 2.6, 1.0):

@@ -264,3 +264,23 @@ def test_a_speed_that_cannot_be_is_a_failsafe_within_the_same_call(fake):
     flight.change = gale
     flight.tick()
     assert "failsafe: speed 21 m/s, 20 possible" in flight.texts
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"omega_c": 5.0}, "position: omega_c from 2 to 5; go in steps of 2 times at most"),
+        ({"omega_o": 1000.0}, "position: omega_o from 6 to 1e+03; go in steps of 2 times at most"),
+        ({"lag": 0.5}, "position: lag from 0.12 to 0.5; go in steps of 1.5 times at most"),
+        ({"omega_c": 3.5, "omega_o": 12.0}, None),
+        ({"omega_c": 0.5}, None),
+    ],
+)
+def test_a_ring_that_is_far_from_the_one_that_flies_is_refused_in_flight(fake, changes, reason):
+    """With three times the bandwidth, an observer of 1000 rad/s or four times the lag it swung by 0.2 rad."""
+    flown = held(fake)
+    flight = flight_of(fake, flown, fake.airborne()).run_to(State.ENGAGED)
+    designed = replace(flown.position, ring=design_ring("ladrc", PositionDesign(**changes)))
+    flight.give(events.SettingsChanged(replace(flown, position=designed)))
+    said = [refused.reason for _, refused in flight.sent(events.RequestRefused)]
+    assert said == ([] if reason is None else [reason])
