@@ -8,7 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from kffa_offboard.control import Array
-from kffa_offboard.offboard import telemetry
+from kffa_offboard.offboard import echo, telemetry
+from kffa_offboard.offboard.events import Severity, TargetReported
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
 from kffa_offboard.offboard.loop import LoopStep, Order, signals, step_loop, write_out
 from kffa_offboard.offboard.request_session import RequestSession
@@ -35,6 +36,7 @@ class ControlSession(RequestSession):
         )
         if order.sending and result.target is not None:
             self._emit(result.target)
+            self._echo = echo.send(self._echo, time_us, result.target.thrust)
         self._stepped = order, result
         if result.fault is not None:
             self._fault(time_us, result.fault)
@@ -44,6 +46,16 @@ class ControlSession(RequestSession):
                 self._work_gripper(time_us, action, dt)
         if self.state is State.ENGAGED and order.directive.ending is not None:
             self._end_flight(time_us, order.directive.ending, order.directive.reason)
+
+    def _watch_echo(self, time_us: int, reported: TargetReported) -> None:
+        """Somebody else's setpoints that we do not see may show in what the autopilot says it follows."""
+        flies = self.state is State.ENGAGED and self._flight is not None and self._flight.phase is Phase.AIR
+        if not flies or reported.thrust is None:
+            self._echo = echo.forget_reports(self._echo)
+            return
+        self._echo, others = echo.report(self._echo, time_us, reported.thrust)
+        if others:
+            self._say_once(Severity.WARNING, "somebody else's setpoints reach the vehicle")
 
     def _follow_step(self, time_us: int) -> None:
         """What a control step means to those who watch, once its setpoint is on the way: log and load."""

@@ -25,7 +25,7 @@ from dataclasses import replace
 from operator import itemgetter
 
 from kffa_offboard.control import Array
-from kffa_offboard.offboard import admission, events, telemetry, trust
+from kffa_offboard.offboard import admission, echo, events, telemetry, trust
 from kffa_offboard.offboard.control_session import ControlSession
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.farewell import fly_blind
@@ -199,6 +199,7 @@ class Service(ControlSession):
             self.settings, self._loop, self._flight, self._known, time_us, acting=acting
         )
         self._emit(target)
+        self._echo = echo.send(self._echo, time_us, target.thrust)
 
     # --------------------------------------------------------------------------- events
 
@@ -212,6 +213,7 @@ class Service(ControlSession):
                 self._on_heartbeat(time_us, event)
             case events.TargetReported():
                 self._known = telemetry.receive_target(self._known, time_us, event)
+                self._watch_echo(time_us, event)
             case events.ThrottleReported():
                 self._known = telemetry.receive_throttle(self._known, time_us, event)
             case events.LandedStateReported():

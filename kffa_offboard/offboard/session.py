@@ -10,6 +10,7 @@ from dataclasses import replace
 from math import nan
 
 from kffa_offboard.offboard import admission, events, sequence, telemetry
+from kffa_offboard.offboard.echo import Echo
 from kffa_offboard.offboard.events import (
     Announce,
     AttitudeTarget,
@@ -78,6 +79,7 @@ class Session:
         self._battery: events.BatteryReported | None = None
         self._trust = Trust()
         self._rivals = Rivals()
+        self._echo = Echo()
         self._centre: tuple[float, float] | None = None
         self._followed: tuple[Wish, int] | None = None
         self._stay = False

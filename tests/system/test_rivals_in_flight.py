@@ -1,5 +1,6 @@
 """Another sender of setpoints in flight, and a stranger at another address: what is done, and logged."""
 
+import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.config_log import config_of
@@ -44,3 +45,34 @@ def test_another_sender_of_setpoints_ends_control_and_the_log_shows_it(lock_step
         IntrusionNoticed("another vehicle is 1/1: 10.0.0.7:9999", "forbids")
     ]
     assert compare(recording, replay(recording, config_of(recording.header, flight.log))).difference is None
+
+
+@pytest.mark.parametrize(
+    ("personality", "output", "period_us", "noticed"),
+    [
+        ("ardupilot", "rates", 20_000, True),
+        ("ardupilot", "attitude", 70_000, True),
+        ("px4", "attitude", 20_000, True),
+        ("px4", "rates", 20_000, False),  # whose ATTITUDE_TARGET says nothing then
+        ("ardupilot", "rates", None, False),
+        ("px4", "attitude", None, False),
+    ],
+)
+def test_a_sender_of_setpoints_on_another_link_shows_in_what_the_autopilot_follows(
+    lock_step_flight, personality, output, period_us, noticed
+):
+    """Level, and with the thrust that carries: the vehicle flies on, so that nobody would see it."""
+    flight = lock_step_flight(personality, output=output)
+    flight.vehicle.add_peer("rival")
+    rival = mavlink.MAVLink(None, 246, 191)
+
+    def before_slot():
+        now_us = flight.vehicle.time_us
+        if period_us is not None and now_us >= 8_500_000 and now_us % period_us == 0:
+            target = mavlink.MAVLink_set_attitude_target_message(0, 1, 1, 7, [1, 0, 0, 0], 0, 0, 0, 0.4)
+            flight.vehicle.receive(bytes(target.pack(rival)), "rival")
+
+    flight.before_slot = before_slot
+    flight.fly(lambda vehicle: vehicle.time_us >= 12_000_000)
+    assert flight.texts.count("somebody else's setpoints reach the vehicle") == noticed
+    assert "engaged" in flight.texts
