@@ -7,6 +7,8 @@ Measured with the simulated vehicles, one PARAM_SET from the demonstration's num
   observer of 1000 rad/s or four times the lag (`admission` judges the bandwidths of the other channels);
 - with output = "attitude" a quarter of omega_c, or 2.7 times as much, swings up to 0.46 and 0.36 rad beside
   a natural frequency that is 1.5 times too high or too low;
+- with three times omega_c the height swings by 0.7 m beside a delay that is told a third too short, roll by
+  rates by 0.38 rad beside an observer as quick as the telemetry bears;
 - a Kalman filter that trusts nothing but noise, or that takes a load for impossible, swings in height by 0.1
   to 0.9 m;
 - a cascade of PIDs with four times the gain on roll swings by 0.4 rad, without that on the climb rate by 2 m.
@@ -19,16 +21,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from kffa_offboard.control import Array
-from kffa_offboard.control.controllers import CHANNELS, ControllerParameters
+from kffa_offboard.control import Array, BoolArray
+from kffa_offboard.control.controllers import CHANNELS, YAW, ControllerParameters
 from kffa_offboard.offboard.settings import PositionSettings, ServiceSettings
 
 PLANT_STEP, PLANT_STEP_DAMPING_PER_S, PLANT_STEP_S = 1.5, 1.0, 0.02
 """What a number of the plant may change by at once: times; 1/s of damping, s of delay or lag."""
 
 BANDWIDTH_STEP = 2.0
-"""Of omega_c and omega_o of the position ring, upwards; downwards they may go at once. Of omega_c both ways
-where it works against the stiffness of the autopilot's attitude loop: slower is no calmer there."""
+"""Upwards of omega_c, and of omega_o of the position ring; they may fall at once.
+
+Both ways of omega_c that works against the stiffness of the autopilot's own attitude loop: slower is no
+calmer there. Yaw by rates may go anywhere: it turns about an axis along which nobody tilts.
+"""
 
 NOISE_STEP, DISTURBANCE_STEP = 3.0, 10.0
 """Of the Kalman filter's standard deviations, and of its disturbance intensity, which is a variance."""
@@ -46,7 +51,7 @@ class Numbers(NamedTuple):
     values : (channels,)
     step : times
     least : this much may be added in any case
-    falls : it may fall as far as it likes
+    falls : it may fall as far as it likes, (channels,) or all
     said : the step that is named, of the parameter from which the number follows
     """
 
@@ -54,14 +59,14 @@ class Numbers(NamedTuple):
     values: Array
     step: float | Array
     least: float = 0.0
-    falls: bool = False
+    falls: bool | BoolArray = False
     said: float = PLANT_STEP
 
 
 def too_far(before: ServiceSettings, after: ServiceSettings, original: ServiceSettings) -> str | None:
     """Why numbers must not go from `before` to `after` at once in flight; to those of `original` they may."""
     flown = (before, after, original)
-    found = _too_far(CHANNELS, *(list(_of_controller(each.controller)) for each in flown))
+    found = _too_far(CHANNELS, *(list(_of_channels(each.controller)) for each in flown))
     rings = [list(_of_ring(each.position)) for each in flown if each.position is not None]
     return found or (_too_far(("position", "position"), *rings) if rings else None)
 
@@ -71,16 +76,21 @@ def _too_far(
 ) -> str | None:
     for old, new, first in zip(before, after, original, strict=True):
         a, b = old.values, new.values
-        far = _larger(b, a, old) if old.falls else _larger(np.maximum(a, b), np.minimum(a, b), old)
+        large, small = np.where(old.falls, b, np.maximum(a, b)), np.where(old.falls, a, np.minimum(a, b))
+        far = large > np.maximum(old.step * small, small + old.least) * (1.0 + 1e-9)
         for k in np.flatnonzero(far & (b != first.values)):
             change = f"{channels[k]}: {old.name} from {a[k]:.3g} to {b[k]:.3g}"
             return f"{change}; go in steps of {old.said:g} times at most"
     return None
 
 
-def _larger(large: Array, small: Array, number: Numbers) -> Array:
-    """Where `large` is further above `small` than it may be."""
-    return np.asarray(large > np.maximum(number.step * small, small + number.least) * (1.0 + 1e-9))
+def _of_channels(controller: ControllerParameters) -> Iterator[Numbers]:
+    yield from _of_controller(controller)
+    if controller.law is not None:
+        stiff = controller.model.stiffness > 0.0
+        step = np.full(len(CHANNELS), BANDWIDTH_STEP)
+        step[YAW] = BANDWIDTH_STEP if stiff[YAW] else np.inf
+        yield Numbers("omega_c", controller.law.omega_c, step, falls=~stiff, said=BANDWIDTH_STEP)
 
 
 def _of_ring(position: PositionSettings) -> Iterator[Numbers]:
@@ -99,9 +109,6 @@ def _of_controller(parameters: ControllerParameters) -> Iterator[Numbers]:
     yield Numbers("damping", model.damping, PLANT_STEP, PLANT_STEP_DAMPING_PER_S)
     yield Numbers("delay", acting.delay, PLANT_STEP, PLANT_STEP_S)
     yield Numbers("lag", acting.lag, PLANT_STEP, PLANT_STEP_S)
-    if parameters.law is not None and np.any(model.stiffness > 0.0):
-        step = np.where(model.stiffness > 0.0, BANDWIDTH_STEP, np.inf)
-        yield Numbers("omega_c", parameters.law.omega_c, step, said=BANDWIDTH_STEP)
     yield from _of_filter(parameters)
     yield from _of_pid(parameters)
 

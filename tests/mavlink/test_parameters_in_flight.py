@@ -41,6 +41,8 @@ def test_stored_values_that_the_telemetry_does_not_bear_are_not_read_in_flight(t
     ("name", "value", "reason"),
     [
         (b"ALT_OMEGA_O", 250.0, "attitude at 100 Hz; omega_o = 250 needs 103"),
+        (b"ALT_OMEGA_C", 20.0, "altitude: omega_c from 8 to 20; go in steps of 2 times at most"),
+        (b"ROLL_OMEGA_C", 20.0, "roll: omega_c from 8 to 20; go in steps of 2 times at most"),
         (b"ALT_NOISE", 1e-4, "altitude: noise from 0.01 to 0.0001; go in steps of 3 times at most"),
         (b"ALT_RATE_NOISE", 10.0, "altitude: rate noise from 0.02 to 10; go in steps of 3 times at most"),
         (
@@ -50,7 +52,7 @@ def test_stored_values_that_the_telemetry_does_not_bear_are_not_read_in_flight(t
         ),
     ],
 )
-def test_a_filter_that_would_swing_or_end_control_is_refused_in_flight(talk, name, value, reason):
+def test_a_number_that_would_swing_or_end_control_is_refused_in_flight(talk, name, value, reason):
     """One sample less in a second ended control at 250 rad/s; filters so far off swung by up to 0.9 m."""
     talk.engage()
     before = next(t.value for t in talk.config.tuning.tunables if t.name == name.decode())
