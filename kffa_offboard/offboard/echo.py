@@ -2,7 +2,7 @@
 
 A second sender of setpoints on another of the vehicle's links is not heard here. But what the autopilot
 reports is then our thrust at one time and somebody else's at another. Real ArduCopter repeats thrust to the
-last bits of a float32 (15,000 reports of 15 flights: 3e-7, one 5e-5); what an autopilot reports that alters
+last bits of a float32 (14,500 reports of 13 flights: 3e-7, one 5e-5); what an autopilot reports that alters
 it is never ours, and it is left alone.
 """
 
