@@ -51,7 +51,9 @@ class KalmanParameters:
     rest_tolerance : share of the standard deviations
         A covariance that differs by no more from where it comes to rest is taken for that.
     late_tolerance : share of the period
-        A single measurement that comes late by no more has its own gain, but leaves the covariance at rest.
+        A single measurement that comes late by no more has its own gain, but leaves the covariance at rest. A
+        later one has the gain of one that is that late: over a silence the random walk grows beyond any load,
+        and the noise of the next two samples would be taken for one. With 0 each has its own.
     """
 
     measurement_variance: Array
@@ -185,7 +187,9 @@ def corrected(
     """A channel is measured `dt` s after `spread`: the gain ``(states, 1 or 2)``, and what is left."""
     after = spread.elapsed + dt
     usual, period, odd, odds = _times(parameters, spread, after)
-    f, q = _model_matrices(parameters, _damping(model, channel), channel, period if usual else after)
+    latest = (1.0 + parameters.late_tolerance) * period if parameters.late_tolerance > 0.0 else after
+    time = period if usual else min(after, latest)
+    f, q = _model_matrices(parameters, _damping(model, channel), channel, time)
     h, r = _sensors(parameters, channel, with_rate)
     kalman = copy(_blank_filter(parameters.states))  # filterpy rebinds matrices and never writes into them
     kalman.P = spread.covariance.matrix

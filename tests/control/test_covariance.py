@@ -165,6 +165,17 @@ def test_one_lost_sample_leaves_rest_where_it_is_and_has_its_own_gain_all_the_sa
     assert measured(forgiving, spread, [0.02] * 5).period == 0.02
 
 
+@pytest.mark.parametrize("late", [0.03, 0.3, 3.0])
+def test_after_a_silence_a_sample_has_the_gain_of_the_latest_that_is_tolerated(late) -> None:
+    """Over 0.3 s the disturbance grew to 5 m/s^2: two samples of hover noise swung thrust from end to end."""
+    forgiving = replace(TOLERANT, late_tolerance=2.0)
+    spread = measured(forgiving, begin(forgiving), [0.01] * 200)
+    expected, _ = corrected(PATIENT, MODEL, 0, True, Spread(spread.covariance, period=0.01), 0.03)
+    gain, after = corrected(forgiving, MODEL, 0, True, spread, late)
+    np.testing.assert_allclose(gain, expected, rtol=1e-12)
+    assert measured(forgiving, after, [late] * 4).period == late, "what comes again and again is the period"
+
+
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("period", [1e-6, 1e-3, 0.004, 0.05, 0.5, 3.0, 30.0])
 def test_whatever_the_period_gains_are_finite_and_the_rest_is_a_covariance(period) -> None:

@@ -63,3 +63,14 @@ def test_a_silence_on_the_way_to_another_height_leaves_it_with_the_thrust_that_c
         gone = flight.fly_on(3.5, down=[Lose(start_s=start_s, duration_s=0.5)])
         assert gone.released_s is None, gone.texts
         assert max(abs(one - other) for one, other in zip(gone.heights, quiet, strict=True)) < 0.8
+
+
+@pytest.mark.parametrize("loaded_kg", [0.0, 5.0])
+def test_silences_in_a_row_do_not_swing_the_height(fault_flight, loaded_kg):
+    """After each the filter took noise for a load: thrust from end to end, until control was given up."""
+    flight = stepping(fault_flight, "px4", 0.0, 100.0, loaded_kg)
+    quiet = flight.fly_on(3.0).heights
+    silences = [Lose(start_s=0.2 + 0.45 * k, duration_s=0.3) for k in range(5)]
+    gone = flight.fly_on(3.0, down=silences)
+    assert gone.released_s is None, gone.texts
+    assert max(abs(one - other) for one, other in zip(gone.heights, quiet, strict=True)) < 0.3
