@@ -16,7 +16,7 @@ help:
 	@echo "make demo             fly: take off, pick up 5 kg, drop it, land; figure and table in $(OUT)"
 	@echo "make test             ruff, mypy, import contracts, pytest"
 	@echo "make test-grid        every other seed with both autopilots and both outputs: some minutes"
-	@echo "make test-faults      three thousand random mixtures of faults in flight: half an hour"
+	@echo "make test-faults      three thousand random mixtures of faults in flight: six minutes on two cores"
 	@echo "make lint             the same without pytest"
 	@echo "make install-clients  the extras, too: campaigns, and MAVProxy and MAVSDK for the tests that fly the simulator with them (1 GB)"
 	@echo "make bench            latency, replay, start-up, cost, jitter and batches of flights measured; benchmarks/results.json"
