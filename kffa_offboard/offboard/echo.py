@@ -8,10 +8,11 @@ it is never ours, and it is left alone.
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import NamedTuple
 
-KEPT_US, KEPT = 1_000_000, 256
-"""What was sent so long ago, and so many of it, may be what is reported."""
+KEPT_US, BLOCK, BLOCKS = 1_000_000, 16, 16
+"""What was sent so long ago may be what is reported; so many of it are kept, in so many blocks."""
 
 SAME, OTHER = 2e-6, 1e-4
 """Of full thrust: what is so near to a setpoint of ours is one; what is so far from all of them is not."""
@@ -24,16 +25,26 @@ SETTLED_US = 2_000_000
 
 
 class Echo(NamedTuple):
-    """Thrust that was sent when; since when reports are looked at; which of the last ones are ours."""
+    """What was sent and reported.
 
-    sent: tuple[tuple[int, float], ...] = ()
+    Attributes
+    ----------
+    latest, former : time, us, and thrust of setpoints, in blocks, so that one more copies the last block only
+    since_us : since when reports are looked at
+    ours : which of the last reports are
+    """
+
+    latest: tuple[tuple[int, float], ...] = ()
+    former: tuple[tuple[tuple[int, float], ...], ...] = ()
     since_us: int | None = None
     ours: tuple[bool | None, ...] = ()
 
 
 def send(echo: Echo, time_us: int, thrust: float) -> Echo:
     """Take note of a setpoint of ours."""
-    return echo._replace(sent=(*echo.sent[1 - KEPT :], (time_us, thrust)))
+    if len(echo.latest) < BLOCK:
+        return Echo((*echo.latest, (time_us, thrust)), *echo[1:])
+    return Echo(((time_us, thrust),), (*echo.former[1 - BLOCKS :], echo.latest), *echo[2:])
 
 
 def forget_reports(echo: Echo) -> Echo:
@@ -47,7 +58,8 @@ def report(echo: Echo, time_us: int, thrust: float) -> tuple[Echo, bool]:
         return echo._replace(since_us=time_us), False
     if time_us - echo.since_us < SETTLED_US:
         return echo, False
-    away = min((abs(thrust - one) for at_us, one in echo.sent if time_us - at_us <= KEPT_US), default=0.0)
+    sent = chain(echo.latest, *echo.former)
+    away = min((abs(thrust - one) for at_us, one in sent if time_us - at_us <= KEPT_US), default=0.0)
     ours = True if away <= SAME else False if away >= OTHER else None
     echo = echo._replace(ours=(*echo.ours[1 - REPORTS :], ours))
     return echo, echo.ours.count(True) >= ENOUGH and echo.ours.count(False) >= ENOUGH
