@@ -5,8 +5,8 @@ of times and looked up from then on. A covariance waits until its channel is mea
 predicted over all the time since, which is the same as step by step.
 
 With a steady telemetry it comes to rest where prediction and correction balance (the algebraic Riccati
-equation). It gets there by ever smaller steps, and each late sample moves it away for a while; near enough
-(`KalmanParameters.rest_tolerance`) it is taken for what it is going to be.
+equation). It gets there by ever smaller steps; near enough (`KalmanParameters.rest_tolerance`) it is taken
+for what it is going to be. Samples at odd times may leave it there (`late_tolerance`).
 """
 
 from __future__ import annotations
@@ -51,9 +51,10 @@ class KalmanParameters:
     rest_tolerance : share of the standard deviations
         A covariance that differs by no more from where it comes to rest is taken for that.
     late_tolerance : share of the period
-        A single measurement that comes late by no more has its own gain, but leaves the covariance at rest. A
-        later one has the gain of one that is that late: over a silence the random walk grows beyond any load,
-        and the noise of the next two samples would be taken for one. With 0 each has its own.
+        A measurement at another than the usual time has the gain of its own time, or of one that is late by
+        this much, and leaves the covariance that one at the usual time would. Over a silence the random walk
+        grows beyond any load, and the noise of the next two samples would be taken for one. What was at rest
+        is so at a new period, too. With 0 each has its own gain and leaves its own covariance.
     """
 
     measurement_variance: Array
@@ -97,30 +98,65 @@ class Spread(NamedTuple):
     odds: int = 0
 
 
+class Noise(NamedTuple):
+    """What `KalmanParameters` say about one channel; channels with the same noise share what is worked out.
+
+    Attributes
+    ----------
+    measurement_variance : R of the output
+    rate_variance : R of its rate; None if that is not fused
+    growth : of the disturbance's variance per second (`extended`), or Q of a step (`literal`)
+    states : 3 (`extended`) or 2
+    rest_tolerance : see `KalmanParameters`
+    """
+
+    measurement_variance: float
+    rate_variance: float | None
+    growth: float
+    states: int
+    rest_tolerance: float
+
+
 @remember
-def _model_matrices(
-    parameters: KalmanParameters, damping: float, channel: int, dt: float
-) -> tuple[Array, Array]:
+def _noise(parameters: KalmanParameters, with_rate: bool) -> tuple[Noise, ...]:
+    """Of each channel."""
+    rates, process = parameters.rate_variance, parameters.process_variance
+    growths = parameters.disturbance_intensity
+    if parameters.states == 2:
+        growths = np.full_like(growths, LITERAL_PROCESS_VARIANCE) if process is None else process
+    return tuple(
+        Noise(
+            float(variance),
+            float(rates[channel]) if with_rate and rates is not None else None,
+            float(growths[channel]),
+            parameters.states,
+            parameters.rest_tolerance,
+        )
+        for channel, variance in enumerate(parameters.measurement_variance)
+    )
+
+
+@remember
+def _model_matrices(noise: Noise, damping: float, dt: float) -> tuple[Array, Array]:
     """Transition F and process noise Q of a channel over `dt`, ``(states, states)``."""
     decay = np.asarray(damping)
     e, p, q = transition(decay, dt)
     f = np.array([[1.0, p, q], [0.0, e, p], [0.0, 0.0, 1.0]])
-    if parameters.states == 2:
-        variance = parameters.process_variance
-        return f[:2, :2], (LITERAL_PROCESS_VARIANCE if variance is None else variance[channel]) * np.eye(2)
+    if noise.states == 2:
+        return f[:2, :2], noise.growth * np.eye(2)
     # The random walk enters through the disturbance: integral of (q, p, 1)(q, p, 1)^T over dt.
     _, p, q = transition(decay, 0.5 * dt * (1.0 + _NODES))
     entered = np.stack([q, p, np.ones_like(p)])
-    return f, parameters.disturbance_intensity[channel] * 0.5 * dt * (entered * _WEIGHTS) @ entered.T
+    return f, noise.growth * 0.5 * dt * (entered * _WEIGHTS) @ entered.T
 
 
 @remember
-def _sensors(parameters: KalmanParameters, channel: int, with_rate: bool) -> tuple[Array, Array]:
+def _sensors(noise: Noise) -> tuple[Array, Array]:
     """The H that picks the output (then the rate) of a channel, and the R of these."""
-    variances = [parameters.measurement_variance[channel]]
-    if with_rate and parameters.rate_variance is not None:
-        variances.append(parameters.rate_variance[channel])
-    return np.eye(len(variances), parameters.states), np.diag(variances)
+    variances = [noise.measurement_variance]
+    if noise.rate_variance is not None:
+        variances.append(noise.rate_variance)
+    return np.eye(len(variances), noise.states), np.diag(variances)
 
 
 def _damping(model: PlantModel, channel: int) -> float:
@@ -132,20 +168,18 @@ def at_rest(
     parameters: KalmanParameters, model: PlantModel, channel: int, with_rate: bool, period: float
 ) -> tuple[Covariance]:
     """Where a channel's covariance comes to rest if it is measured every `period` s; after the correction."""
-    return _resting(parameters, _damping(model, channel), channel, with_rate, period)
+    return _resting(_noise(parameters, with_rate)[channel], _damping(model, channel), period)
 
 
 @remember
-def _resting(
-    parameters: KalmanParameters, damping: float, channel: int, with_rate: bool, period: float
-) -> tuple[Covariance]:
+def _resting(noise: Noise, damping: float, period: float) -> tuple[Covariance]:
     """See `at_rest`.
 
     By doubling: each pass goes twice as far in time as the one before (Anderson, "Second-order
     convergent algorithms for the steady-state Riccati equation", 1978).
     """
-    f, prior = _model_matrices(parameters, damping, channel, period)
-    h, r = _sensors(parameters, channel, with_rate)
+    f, prior = _model_matrices(noise, damping, period)
+    h, r = _sensors(noise)
     information = h.T @ np.linalg.inv(r) @ h
     identity = np.eye(len(f))
     a, g = f.T, information
@@ -164,7 +198,7 @@ def predicted(
     parameters: KalmanParameters, model: PlantModel, channel: int, covariance: Covariance, dt: float
 ) -> Covariance:
     """The covariance `dt` s later (eq 45)."""
-    f, q = _model_matrices(parameters, _damping(model, channel), channel, dt)
+    f, q = _model_matrices(_noise(parameters, False)[channel], _damping(model, channel), dt)
     return Covariance(f @ covariance.matrix @ f.T + q)
 
 
@@ -180,27 +214,41 @@ def _blank_filter(states: int) -> KalmanFilter:
     return KalmanFilter(dim_x=states, dim_z=1)
 
 
-@remember
 def corrected(
     parameters: KalmanParameters, model: PlantModel, channel: int, with_rate: bool, spread: Spread, dt: float
 ) -> tuple[Array, Spread]:
     """A channel is measured `dt` s after `spread`: the gain ``(states, 1 or 2)``, and what is left."""
     after = spread.elapsed + dt
     usual, period, odd, odds = _times(parameters, spread, after)
-    latest = (1.0 + parameters.late_tolerance) * period if parameters.late_tolerance > 0.0 else after
-    time = period if usual else min(after, latest)
-    f, q = _model_matrices(parameters, _damping(model, channel), channel, time)
-    h, r = _sensors(parameters, channel, with_rate)
-    kalman = copy(_blank_filter(parameters.states))  # filterpy rebinds matrices and never writes into them
-    kalman.P = spread.covariance.matrix
+    noise, damping = _noise(parameters, with_rate)[channel], _damping(model, channel)
+    if parameters.late_tolerance == 0.0:
+        gain, left = _measured(noise, damping, period, spread.covariance, period if usual else after)
+    else:
+        before = spread.covariance
+        if period != spread.period and spread.period and before is _resting(noise, damping, spread.period)[0]:
+            (before,) = _resting(noise, damping, period)
+        gain, left = _measured(noise, damping, period, before, period)
+        if not usual:
+            latest = (1.0 + parameters.late_tolerance) * period
+            gain, _ = _measured(noise, damping, period, before, min(after, latest))
+    return gain, Spread(left, 0.0, period, odd, odds)
+
+
+@remember
+def _measured(
+    noise: Noise, damping: float, period: float, covariance: Covariance, time: float
+) -> tuple[Array, Covariance]:
+    """Gain, and the covariance left by a measurement that counts as one `time` s after `covariance`."""
+    f, q = _model_matrices(noise, damping, time)
+    h, r = _sensors(noise)
+    kalman = copy(_blank_filter(noise.states))  # filterpy rebinds matrices and never writes into them
+    kalman.P = covariance.matrix
     kalman.predict(F=f, Q=q)
     kalman.update(0.0, R=r, H=h)
-    covariance = Covariance(np.asarray(kalman.P))
-    (rest,) = at_rest(parameters, model, channel, with_rate, period)
-    forgiven = spread.covariance is rest and after <= (1.0 + parameters.late_tolerance) * period
-    if forgiven or _within(covariance.matrix - rest.matrix, rest.matrix, parameters.rest_tolerance):
-        covariance = rest
-    return np.asarray(kalman.K), Spread(covariance, 0.0, period, odd, odds)
+    left = Covariance(np.asarray(kalman.P))
+    (rest,) = _resting(noise, damping, period)
+    near = _within(left.matrix - rest.matrix, rest.matrix, noise.rest_tolerance)
+    return np.asarray(kalman.K), rest if near else left
 
 
 def _within(difference: Array, covariance: Array, tolerance: float) -> bool:

@@ -89,7 +89,11 @@ def _first_spreads(parameters: KalmanParameters, channels: int, rate_std: float)
     variances[:, 1] = rate_std**2
     if parameters.states == 3:
         variances[:, 2] = parameters.disturbance_intensity
-    return tuple(Spread(Covariance(np.diag(channel))) for channel in variances)
+    alike: dict[tuple[float, ...], Covariance] = {}
+    return tuple(
+        Spread(alike.setdefault(tuple(channel), Covariance(np.diag(channel))))
+        for channel in variances.tolist()
+    )
 
 
 def with_disturbance_step(parameters: KalmanParameters, state: KalmanState, step: Array) -> KalmanState:

@@ -13,7 +13,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 REMEMBERED = 256
-"""Results that one function keeps; beyond it the oldest is forgotten."""
+"""Results that one function keeps; beyond it the one that was not asked for the longest is forgotten."""
 
 LARGEST = 1024
 """Entries of an array that still counts: what belongs to a batch of many flights is worked out each time."""
@@ -41,8 +41,9 @@ def remember(function: Callable[P, R]) -> Callable[P, R]:
             else:
                 parts.append(value)
         key = tuple(parts)
-        known = results.get(key)
+        known = results.pop(key, None)
         if known is not None:
+            results[key] = known  # as the latest
             return known
         result = function(*args, **kwargs)
         for value in result:

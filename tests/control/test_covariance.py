@@ -56,7 +56,7 @@ def asked(monkeypatch) -> list[None]:
 def test_it_comes_to_rest_where_the_riccati_equation_says(exact_model, parameters, channel, period) -> None:
     spread = begin(parameters, channel)
     for _ in range(3000):
-        _, spread = corrected.__wrapped__(parameters, MODEL, channel, True, spread, period)
+        _, spread = corrected(parameters, MODEL, channel, True, spread, period)
     (rest,) = at_rest(parameters, MODEL, channel, True, period)
     matrix = begin(parameters, channel).covariance.matrix
     deviations = np.sqrt(np.diag(rest.matrix))
@@ -161,7 +161,6 @@ def test_one_lost_sample_leaves_rest_where_it_is_and_has_its_own_gain_all_the_sa
     assert after.covariance is rest and after.period == 0.01
     own, _ = corrected(PATIENT, MODEL, 0, True, Spread(rest, period=0.01), 0.02)
     np.testing.assert_allclose(late, own, rtol=1e-12)
-    assert measured(forgiving, spread, [0.021]).covariance is not rest
     assert measured(forgiving, spread, [0.02] * 5).period == 0.02
 
 
@@ -174,6 +173,56 @@ def test_after_a_silence_a_sample_has_the_gain_of_the_latest_that_is_tolerated(l
     gain, after = corrected(forgiving, MODEL, 0, True, spread, late)
     np.testing.assert_allclose(gain, expected, rtol=1e-12)
     assert measured(forgiving, after, [late] * 4).period == late, "what comes again and again is the period"
+
+
+def test_at_rest_filterpy_is_asked_once_for_the_gain_of_each_odd_time_and_once_for_all_silences(
+    asked,
+) -> None:
+    unseen = np.array([1.3e-5, 4e-6])  # by the other tests, whose results are remembered
+    forgiving = replace(TOLERANT, measurement_variance=unseen, late_tolerance=2.0)
+    spread = measured(forgiving, begin(forgiving), [0.01] * 200)
+    asked.clear()
+    after = measured(forgiving, spread, [0.05, 0.011, 0.008, 0.3, 0.009, 0.002, 0.01, 0.02, 0.05])
+    assert after.covariance is spread.covariance
+    assert len(asked) == 3, "0.002, 0.02, and the latest that is tolerated"
+    asked.clear()
+    measured(forgiving, after, [0.3, 0.02, 0.01, 1.0, 0.002, 0.012])
+    assert asked == []
+
+
+def test_what_was_at_rest_is_so_at_a_new_period() -> None:
+    forgiving = replace(TOLERANT, late_tolerance=2.0)
+    spread = measured(forgiving, begin(forgiving), [0.01] * 200)
+    for period in (0.02, 0.004, 0.01):
+        (rest,) = at_rest(forgiving, MODEL, 0, True, period)
+        assert measured(forgiving, spread, [period] * 5).covariance is rest
+        gain, _ = corrected(forgiving, MODEL, 0, True, measured(forgiving, spread, [period] * 4), period)
+        expected, _ = corrected(PATIENT, MODEL, 0, True, Spread(rest, period=period), period)
+        np.testing.assert_allclose(gain, expected, rtol=1e-12)
+    (rest,) = at_rest(forgiving, MODEL, 0, True, 0.02)
+    assert measured(forgiving, begin(forgiving), [0.01] * 2 + [0.02] * 5).covariance is not rest
+
+
+def test_before_it_has_come_to_rest_an_odd_time_does_not_hold_it_up(asked) -> None:
+    forgiving = replace(TOLERANT, late_tolerance=2.0)
+    times = [0.01, 0.01, 0.03, 0.01, 0.3, 0.01, 0.002, 0.01]
+    odd = measured(forgiving, begin(forgiving), times)
+    assert odd.covariance is measured(forgiving, begin(forgiving), [0.01] * len(times)).covariance
+
+
+def test_channels_with_the_same_noise_and_damping_are_worked_out_once(asked) -> None:
+    alike = replace(TOLERANT, measurement_variance=np.full(2, 7e-6), disturbance_intensity=np.full(2, 50.0))
+    alike = replace(alike, rate_variance=np.full(2, 3e-4))
+    same, other = (PlantModel(MODEL.b0, np.array([10.0, damping]), np.zeros(2)) for damping in (10.0, 9.0))
+    gains = []
+    for model, channel in ((same, 0), (same, 1), (other, 1)):
+        asked.clear()
+        spread = begin(alike, channel)
+        for _ in range(50):
+            gain, spread = corrected(alike, model, channel, True, spread, 0.01)
+        gains.append((gain, len(asked)))
+    np.testing.assert_array_equal(gains[0][0], gains[1][0])
+    assert gains[0][1] > 10 and gains[1][1] == 0 and gains[2][1] > 10
 
 
 @pytest.mark.filterwarnings("error")
