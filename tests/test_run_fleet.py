@@ -12,8 +12,8 @@ from kffa_offboard import cli, cli_fleet
 from kffa_offboard.cli_fleet import Fleet
 from kffa_offboard.cli_vehicle import RunOptions
 from kffa_offboard.errors import UserError
-from kffa_offboard.mavlink.session import Counters
 from kffa_offboard.mavlink.shell import RunResult, real_time_clock
+from kffa_offboard.mavlink.transmission import Counters
 from kffa_offboard.offboard.service import Finished
 
 VEHICLE = """

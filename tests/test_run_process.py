@@ -17,8 +17,9 @@ from kffa_offboard.cli_vehicle import RunOptions, _log_path
 from kffa_offboard.config import Overrides, bundled, load
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog import writer
-from kffa_offboard.mavlink.session import Counters, Session
+from kffa_offboard.mavlink.session import Session
 from kffa_offboard.mavlink.shell import RunResult, real_time_clock
+from kffa_offboard.mavlink.transmission import Counters
 from kffa_offboard.mavlink.udp import UdpLink
 from kffa_offboard.offboard.state import Finished
 

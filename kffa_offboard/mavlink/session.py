@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from itertools import groupby
 from typing import Protocol, TypeAlias
 
 from kffa_offboard.mavlink import parameter_keeper
 from kffa_offboard.mavlink.autopilot import GuidedMode
 from kffa_offboard.mavlink.commands import EncodingError, is_timesync_request, timesync_answer
 from kffa_offboard.mavlink.companion import Companion
-from kffa_offboard.mavlink.component import Component, Message, Route
+from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.parameter_file import ChangedParameter
 from kffa_offboard.mavlink.parameter_keeper import ParameterKeeper
 from kffa_offboard.mavlink.reception import Reception
 from kffa_offboard.mavlink.rivals import RivalWatch
+from kffa_offboard.mavlink.transmission import Counters, Transmission
 from kffa_offboard.mavlink.transport import Datagram, Link
 from kffa_offboard.mavlink.vehicle import Vehicle
 from kffa_offboard.offboard.events import (
@@ -92,16 +93,6 @@ class Recorder(Protocol):
         """Record that the run is over, and why."""
 
 
-@dataclass(slots=True)
-class Counters:
-    """What has gone by. Telemetry: messages of the target. Commands: SET_ATTITUDE_TARGET."""
-
-    telemetry_received: int = 0
-    commands_sent: int = 0
-    frames_sent: int = 0
-    frames_dropped: int = 0
-
-
 class Session:
     """Joins link, translation, service and log.
 
@@ -143,12 +134,10 @@ class Session:
         self.service = service
         self.link = link
         self.route = route
-        self.counters = Counters()
         self.connected = False
         self.refusal: str | None = None
         self._given_up = False
         self._time_us: int | None = None
-        self._component = Component(route)
         self._vehicle = Vehicle(route, guided_mode)
         self._recorder = recorder
         self._observer = observer
@@ -158,6 +147,7 @@ class Session:
         self._compare_clocks = compare_clocks
         self._rivals = RivalWatch(route)
         self._reception = Reception(link, route, self._rivals)
+        self._transmission = Transmission(link, route, self._rivals, recorder)
         self._due_us: int | None = None
         self._due_known = False  # what is done here may change what is due
 
@@ -200,7 +190,7 @@ class Session:
             else:
                 self.tell(time_us, event)
         for request in self._vehicle.requests():
-            self._transmit(time_us, request)
+            self._transmission.send(time_us, request)
         if self._parameters is not None:
             if kind in parameter_keeper.MESSAGES:
                 self._due_known = False
@@ -324,23 +314,29 @@ class Session:
         if todo is None:
             return
         for message in todo.messages:
-            self._transmit(time_us, message)
+            self._transmission.send(time_us, message)
         self._dispatch(time_us, todo.announcements)
         for event in todo.events:
             self.tell(time_us, event)
 
     def _reply(self, time_us: int) -> None:
-        """Send what the companion has to say."""
-        for reply in self._companion.take():
-            if isinstance(reply, Announce):
-                self._dispatch(time_us, [reply])
+        """Send what the companion has to say, in its order."""
+        replies = self._companion.take()
+        for announces, group in groupby(replies, lambda reply: isinstance(reply, Announce)):
+            if announces:
+                self._dispatch(time_us, list(group))
             else:
-                self._transmit(time_us, reply)
+                self._transmission.send_together(time_us, list(group))
 
     def answer_timesync(self, time_us: int, request: Message, own_time_ns: int) -> None:
         """Answer a TIMESYNC request of the target; others are not ours to answer."""
         if is_timesync_request(request) and self.route.from_target(request):
-            self._transmit(time_us, timesync_answer(request, own_time_ns))
+            self._transmission.send(time_us, timesync_answer(request, own_time_ns))
+
+    @property
+    def counters(self) -> Counters:
+        """What has gone by so far."""
+        return self._transmission.counters
 
     @property
     def damaged_bytes(self) -> int:
@@ -371,7 +367,7 @@ class Session:
                     refusal = str(error)
                     continue
                 for message in messages:
-                    sent = self._transmit(time_us, message)
+                    sent = self._transmission.send(time_us, message)
                     self.counters.commands_sent += sent and isinstance(output, AttitudeTarget)
             self._companion.note(output)
         for item in outputs if event is None else (event, *outputs):
@@ -381,17 +377,6 @@ class Session:
             self.refusal = refusal
             LOG.error("refused to send: %s", refusal)
             self.tell(time_us, ReleaseRequested(refusal))
-
-    def _transmit(self, time_us: int, message: Message) -> bool:
-        frame = self._component.pack(message)
-        self._rivals.note_sent(frame)
-        if not self.link.send(frame):
-            self.counters.frames_dropped += 1
-            return False
-        self.counters.frames_sent += 1
-        if self._recorder is not None:
-            self._recorder.write(time_us, frame)
-        return True
 
     def _observe(self, time_us: int, item: Event | Output | ProcessReport) -> None:
         if self._observer is not None:

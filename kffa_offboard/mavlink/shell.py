@@ -23,7 +23,8 @@ from typing import Protocol
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.commands import heartbeat, is_timesync_request
 from kffa_offboard.mavlink.component import Component, Message
-from kffa_offboard.mavlink.session import Counters, Session
+from kffa_offboard.mavlink.session import Session
+from kffa_offboard.mavlink.transmission import Counters
 from kffa_offboard.mavlink.transport import Clock, Datagram
 from kffa_offboard.offboard.events import HangNoticed, OwnHeartbeat, ProcessReport, ReleaseRequested
 

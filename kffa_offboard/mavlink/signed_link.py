@@ -151,10 +151,12 @@ class SignedLink:
         return checked
 
     def send(self, data: bytes) -> bool:
-        """See `transport.Link`; `data` is one frame."""
-        frame = self._signer.sign(data, self._clock())
-        self._sent.append(frame)
-        return self._link.send(frame)
+        """See `transport.Link`."""
+        frames = [self._signer.sign(frame, self._clock()) for frame in _split(data)[0]]
+        self._sent.extend(frames)
+        if self._link.keeps_frames_whole:
+            return self._link.send(b"".join(frames))
+        return all([self._link.send(frame) for frame in frames])
 
     def posting(self, data: bytes) -> Posting | None:
         """See `transport.Link`. Signed as on another link, or what goes out here would make it look old."""

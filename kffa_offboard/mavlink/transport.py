@@ -63,7 +63,10 @@ class Link(Protocol):
         """Wait at most `timeout_s` for data, then return what is there, in order of arrival."""
 
     def send(self, data: bytes) -> bool:
-        """Send whole frames without waiting. False if they were dropped (nobody there, buffers full)."""
+        """Send a whole frame, several if the link keeps them whole, without waiting.
+
+        False if they were dropped (nobody there, buffers full).
+        """
 
     def posting(self, data: bytes) -> Posting | None:
         """How another process can send a whole frame here; None while there is nobody to send to."""

@@ -141,8 +141,8 @@ class Talk:
                 self.hear(self.autopilot, ScriptedAutopilot.heartbeat(armed=True))
 
     def sent(self, kind):
-        frames = [read_frames(data)[0] for data in self.link.sent]
-        return [message for message in frames if message.get_type() == kind]
+        messages = [message for data in self.link.sent for message in read_frames(data)]
+        return [message for message in messages if message.get_type() == kind]
 
     def engage(self):
         """Take control in the air."""

@@ -32,6 +32,8 @@ class Service:
 
 
 class Wire:
+    keeps_frames_whole = True
+
     def posting(self, data):
         return Posting(3, data)
 

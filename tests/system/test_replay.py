@@ -270,8 +270,8 @@ def that_loses_mode_commands_after_the_stop(flight):
 
     class Link(flight.link_to):
         def send(self, data):
-            message = reader.decode(bytearray(data))
-            lost = message.get_type() == "COMMAND_LONG" and message.command == mavlink.MAV_CMD_DO_SET_MODE
+            commands = [m.command for m in reader.parse_buffer(data) if m.get_type() == "COMMAND_LONG"]
+            lost = mavlink.MAV_CMD_DO_SET_MODE in commands
             return True if lost and flight.stop.is_set() else super().send(data)
 
     return Link
