@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -146,6 +147,21 @@ def test_ctrl_c_while_the_program_is_being_loaded_ends_it_without_a_traceback(pa
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert ended.returncode == 130
     assert "Traceback" not in ended.stderr
+
+
+@pytest.mark.parametrize("package", ["kffa_offboard", "sim_vehicle"])
+@pytest.mark.parametrize(("given", "threads"), [({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")])
+def test_small_matrices_get_one_thread_unless_the_environment_says_otherwise(
+    package: str, given: dict[str, str], threads: str
+) -> None:
+    """Those of a pool of OpenBLAS's own only wait for a core, by computing."""
+    program = f"import sys; from {package}.__main__ import main; sys.argv[1:] = ['--version']\n"
+    program += "try: main()\nexcept SystemExit: import os; print(os.environ['OPENBLAS_NUM_THREADS'])"
+    environment = {name: value for name, value in os.environ.items() if name != "OPENBLAS_NUM_THREADS"}
+    said = subprocess.run(
+        [sys.executable, "-c", program], env=environment | given, capture_output=True, text=True, check=True
+    )
+    assert said.stdout.splitlines()[-1] == threads
 
 
 def test_ctrl_c_ends_a_command_that_reads_logs_with_a_word(

@@ -64,12 +64,14 @@ def test_parameters_count_by_identity(work: Work) -> None:
     assert work.done == 2
 
 
-def test_only_so_many_results_are_kept_and_the_oldest_goes_first(work: Work) -> None:
-    for number in range(REMEMBERED + 1):
+def test_only_so_many_results_are_kept_and_what_was_not_asked_for_the_longest_goes_first(work: Work) -> None:
+    for number in range(REMEMBERED):
         work.of(number)
-    work.of(1)
-    assert work.done == REMEMBERED + 1
     work.of(0)
+    work.of(REMEMBERED)  # 1 goes
+    work.of(0)
+    assert work.done == REMEMBERED + 1
+    work.of(1)
     assert work.done == REMEMBERED + 2
 
 
