@@ -1,11 +1,13 @@
 """Setpoints on a busy machine: 250 Hz for a minute with all cores loaded, with and without --realtime.
 
 Times are from handing ATTITUDE to the kernel until the setpoint has arrived at the probe's socket; where
-that is permitted the probe runs with real-time scheduling, too, before the daemon.
+that is permitted the probe runs with real-time scheduling, too, before the daemon. A process that answers
+with bytes made before, scheduled as the daemon with --realtime, tells what the machine itself allows.
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
@@ -15,7 +17,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from common import save
+from common import Probe, free_port, save
 from daemons import daemon
 
 RATE_HZ = 250.0
@@ -46,13 +48,39 @@ def probe_in_real_time() -> bool:
 
 
 def jitter(duration_s: float, *options: str) -> dict[str, Any]:
-    """One flight. Setpoints that did not come within five periods count as that late."""
+    """One flight."""
     with tempfile.TemporaryDirectory() as directory, daemon(Path(directory), *options) as flying:
         flying.engage(RATE_HZ / 2.5)
         with busy_cores():
-            trips, missed = flying.probe.round_trips(RATE_HZ, duration_s)
-        ordered = sorted([*trips, *[5.0 / RATE_HZ] * missed])
-        said = flying.summary()
+            row = summed_up(*flying.probe.round_trips(RATE_HZ, duration_s))
+        row["kept control"] = bool(flying.summary()["stopped"])
+    return row
+
+
+def machine_alone(duration_s: float) -> dict[str, Any]:
+    """A process that only answers, before all others and on one core where that is permitted."""
+    port = free_port()
+    command = [sys.executable, str(Path(__file__).parent / "bare_socket.py"), str(port)]
+    answering, probe = subprocess.Popen(command), Probe(port)
+    try:
+        while len(probe.round_trips(RATE_HZ / 2.5, 1.0)[0]) < RATE_HZ / 5.0:
+            answering.poll()
+            if answering.returncode is not None:
+                raise SystemExit("error: bare_socket.py ended; run it by hand to see why")
+        with contextlib.suppress(PermissionError):
+            os.sched_setscheduler(answering.pid, os.SCHED_FIFO, os.sched_param(50))
+        os.sched_setaffinity(answering.pid, {max(os.sched_getaffinity(0))})
+        with busy_cores():
+            return summed_up(*probe.round_trips(RATE_HZ, duration_s))
+    finally:
+        answering.kill()
+        answering.wait()
+        probe.close()
+
+
+def summed_up(trips: list[float], missed: int) -> dict[str, Any]:
+    """Percentiles; setpoints that did not come within five periods count as that late."""
+    ordered = sorted([*trips, *[5.0 / RATE_HZ] * missed])
     row: dict[str, Any] = {
         name: round(1e6 * ordered[min(len(ordered) - 1, int(share * len(ordered)))])
         for name, share in (("p50_us", 0.5), ("p99_us", 0.99), ("p99.9_us", 0.999), ("longest_us", 1.0))
@@ -60,7 +88,6 @@ def jitter(duration_s: float, *options: str) -> dict[str, Any]:
     row["over 2 ms"] = sum(trip > LATE_S for trip in ordered)
     row["unanswered"] = missed
     row["samples"] = len(ordered)
-    row["kept control"] = bool(said["stopped"])
     return row
 
 
@@ -69,6 +96,7 @@ def main() -> None:
     duration_s = float(sys.argv[1]) if len(sys.argv) > 1 else DURATION_S
     first = probe_in_real_time()
     rows = {"ordinary": jitter(duration_s), "--realtime": jitter(duration_s, "--realtime")}
+    rows["bytes made before, as --realtime"] = machine_alone(duration_s)
     for row in rows.values():
         row["probe in real time"] = first
     save("jitter, 250 Hz, all cores busy", rows)
