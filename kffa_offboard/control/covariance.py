@@ -27,6 +27,7 @@ LITERAL_PROCESS_VARIANCE = 0.03  # the paper's Q, per step (section III-C)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _ODDS = 5  # in a row are a new period: two or three also come when a sender makes up for a delay
+_SMALLEST_PART = 10  # of the period, a time that gains are worked out for
 _DOUBLINGS = 40  # of the time until which the Riccati equation is followed
 _EXACT = 1e-14  # of the standard deviations, as `KalmanParameters.rest_tolerance`
 
@@ -51,10 +52,11 @@ class KalmanParameters:
     rest_tolerance : share of the standard deviations
         A covariance that differs by no more from where it comes to rest is taken for that.
     late_tolerance : share of the period
-        A measurement at another than the usual time has the gain of its own time, or of one that is late by
-        this much, and leaves the covariance that one at the usual time would. Over a silence the random walk
-        grows beyond any load, and the noise of the next two samples would be taken for one. What was at rest
-        is so at a new period, too. With 0 each has its own gain and leaves its own covariance.
+        A measurement at another than the usual time has the gain of the nearest multiple or part of the
+        period, if that is not later than by this much, and leaves the covariance that one at the usual time
+        would. Over a silence the random walk grows beyond any load, and the noise of the next two samples
+        would be taken for one. What was at rest is so at a new period, too. With 0 each has its own gain and
+        leaves its own covariance.
     """
 
     measurement_variance: Array
@@ -230,7 +232,7 @@ def corrected(
         gain, left = _measured(noise, damping, period, before, period)
         if not usual:
             latest = (1.0 + parameters.late_tolerance) * period
-            gain, _ = _measured(noise, damping, period, before, min(after, latest))
+            gain, _ = _measured(noise, damping, period, before, min(_multiple(period, after), latest))
     return gain, Spread(left, 0.0, period, odd, odds)
 
 
@@ -265,6 +267,13 @@ def _times(parameters: KalmanParameters, spread: Spread, after: float) -> tuple[
     if spread.period == 0.0 or odds >= _ODDS:
         return True, after, 0.0, 0
     return False, spread.period, after, odds
+
+
+def _multiple(period: float, time: float) -> float:
+    """The multiple of the period, or the fraction of it, that is nearest to a time."""
+    if time >= period:
+        return round(time / period) * period
+    return period / round(period / max(time, period / _SMALLEST_PART))
 
 
 def _near(parameters: KalmanParameters, time: float, usual: float) -> bool:

@@ -203,6 +203,18 @@ def test_what_was_at_rest_is_so_at_a_new_period() -> None:
     assert measured(forgiving, begin(forgiving), [0.01] * 2 + [0.02] * 5).covariance is not rest
 
 
+def test_an_odd_time_has_the_gain_of_the_nearest_multiple_or_part_of_the_period() -> None:
+    forgiving = replace(TOLERANT, late_tolerance=2.0)
+    spread = measured(forgiving, begin(forgiving), [0.01] * 200)
+    for odd, nearest in [(0.0145, 0.01), (0.022, 0.02), (0.0262, 0.03), (0.006, 0.005), (0.0032, 0.01 / 3)]:
+        gain, _ = corrected(forgiving, MODEL, 0, True, spread, odd)
+        exact, _ = corrected(PATIENT, MODEL, 0, True, Spread(spread.covariance, period=0.01), nearest)
+        np.testing.assert_allclose(gain, exact, rtol=1e-9)
+    at_once, _ = corrected(forgiving, MODEL, 0, True, spread, 1e-6)
+    tenth, _ = corrected(PATIENT, MODEL, 0, True, Spread(spread.covariance, period=0.01), 0.001)
+    np.testing.assert_allclose(at_once, tenth, rtol=1e-9)
+
+
 def test_before_it_has_come_to_rest_an_odd_time_does_not_hold_it_up(asked) -> None:
     forgiving = replace(TOLERANT, late_tolerance=2.0)
     times = [0.01, 0.01, 0.03, 0.01, 0.3, 0.01, 0.002, 0.01]
