@@ -67,15 +67,31 @@ def coefficients(
     parameters: ControllerParameters, state: ControllerState, inputs: ControllerInput, dt: float
 ) -> Coefficients:
     """Look them up for a step of `dt` s; measurements are not read, only which of them are there."""
+    found = discretised(parameters, state, inputs, dt)
+    if parameters.kalman is None or state.kalman is None:
+        return found
+    gains, spreads = filter_gains(parameters, parameters.kalman, state.kalman, inputs, dt)
+    return found._replace(kalman=gains, spreads=spreads)
+
+
+def filter_gains(
+    parameters: ControllerParameters,
+    noise: kalman.KalmanParameters,
+    state: kalman.KalmanState,
+    inputs: ControllerInput,
+    dt: float,
+) -> tuple[kalman.KalmanGains, tuple[Spread, ...]]:
+    """The Kalman filter's part of them, which depends on when measurements came, too."""
+    with_rate = inputs.measured_rate is not None
+    return kalman.gains(noise, parameters.model, state, inputs.fresh, dt, with_rate=with_rate)
+
+
+def discretised(
+    parameters: ControllerParameters, state: ControllerState, inputs: ControllerInput, dt: float
+) -> Coefficients:
+    """All but the Kalman filter's: they depend on `dt` and on what is fresh alone."""
     axes = state.actuator.lagged.ndim
     elapsed = state.observer.elapsed + dt
-    gains: kalman.KalmanGains | None = None
-    spreads: tuple[Spread, ...] = ()
-    if parameters.kalman is not None and state.kalman is not None:
-        with_rate = inputs.measured_rate is not None
-        gains, spreads = kalman.gains(
-            parameters.kalman, parameters.model, state.kalman, inputs.fresh, dt, with_rate=with_rate
-        )
     correction = None
     if parameters.observer is not None:
         correction = observer.gains(parameters.observer, parameters.model, elapsed)
@@ -92,11 +108,11 @@ def coefficients(
         actuator.window(parameters.actuator, actuator.NOW, dt, axes),
         observer.discretised(parameters.model, dt, axes),
         ahead,
-        gains,
+        None,
         correction,
         None if parameters.fuzzy is None else fuzzy.scaling(parameters.fuzzy, axes),
         elapsed,
-        spreads,
+        (),
     )
 
 

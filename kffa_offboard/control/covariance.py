@@ -27,6 +27,10 @@ LITERAL_PROCESS_VARIANCE = 0.03  # the paper's Q, per step (section III-C)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _ODDS = 5  # in a row are a new period: two or three also come when a sender makes up for a delay
+_STRAYS, _STRIDE = (
+    45,
+    1.5,
+)  # where no time comes so often: so many, and the period is longer or shorter by this
 _SMALLEST_PART = 10  # of the period, a time that gains are worked out for
 _DOUBLINGS = 40  # of the time until which the Riccati equation is followed
 _EXACT = 1e-14  # of the standard deviations, as `KalmanParameters.rest_tolerance`
@@ -55,8 +59,8 @@ class KalmanParameters:
         A measurement at another than the usual time has the gain of the nearest multiple or part of the
         period, if that is not later than by this much, and leaves the covariance that one at the usual time
         would. Over a silence the random walk grows beyond any load, and the noise of the next two samples
-        would be taken for one. What was at rest is so at a new period, too. With 0 each has its own gain and
-        leaves its own covariance.
+        would be taken for one. What was at rest is so at a new period, too; and where there is no usual time,
+        the period comes to be about the mean. With 0 each has its own gain and leaves its own covariance.
     """
 
     measurement_variance: Array
@@ -91,6 +95,7 @@ class Spread(NamedTuple):
     period : s, usually between two corrections; 0 before the first one
     odd : s, between the last two if that was not the usual; else 0
     odds : how often it has been like that in a row
+    strays : thirds of a period that odd times were longer (or, below 0, shorter), less one for each sample
     """
 
     covariance: Covariance
@@ -98,6 +103,7 @@ class Spread(NamedTuple):
     period: float = 0.0
     odd: float = 0.0
     odds: int = 0
+    strays: int = 0
 
 
 class Noise(NamedTuple):
@@ -221,7 +227,8 @@ def corrected(
 ) -> tuple[Array, Spread]:
     """A channel is measured `dt` s after `spread`: the gain ``(states, 1 or 2)``, and what is left."""
     after = spread.elapsed + dt
-    usual, period, odd, odds = _times(parameters, spread, after)
+    usual, timed = _times(parameters, spread, after)
+    period = timed.period
     noise, damping = _noise(parameters, with_rate)[channel], _damping(model, channel)
     if parameters.late_tolerance == 0.0:
         gain, left = _measured(noise, damping, period, spread.covariance, period if usual else after)
@@ -233,7 +240,7 @@ def corrected(
         if not usual:
             latest = (1.0 + parameters.late_tolerance) * period
             gain, _ = _measured(noise, damping, period, before, min(_multiple(period, after), latest))
-    return gain, Spread(left, 0.0, period, odd, odds)
+    return gain, timed._replace(covariance=left)
 
 
 @remember
@@ -259,14 +266,21 @@ def _within(difference: Array, covariance: Array, tolerance: float) -> bool:
     return bool(np.all(np.abs(difference) <= tolerance * np.outer(deviations, deviations)))
 
 
-def _times(parameters: KalmanParameters, spread: Spread, after: float) -> tuple[bool, float, float, int]:
-    """Is it the usual time; period, odd time and how often in a row as they are then."""
-    if _near(parameters, after, spread.period):
-        return True, spread.period, 0.0, 0
-    odds = spread.odds + 1 if _near(parameters, after, spread.odd) else 1
-    if spread.period == 0.0 or odds >= _ODDS:
-        return True, after, 0.0, 0
-    return False, spread.period, after, odds
+def _times(parameters: KalmanParameters, spread: Spread, after: float) -> tuple[bool, Spread]:
+    """Is it the usual time; and the spread with its times as they are then."""
+    covariance, _, period, odd, odds, strays = spread
+    if parameters.late_tolerance > 0.0 and period > 0.0:
+        if abs(strays) >= _STRAYS:
+            period, strays = period * (_STRIDE if strays > 0 else 1.0 / _STRIDE), 0
+        if strays != 0:
+            strays -= 1 if strays > 0 else -1
+    if _near(parameters, after, period):
+        return True, Spread(covariance, 0.0, period, strays=strays)
+    odds = odds + 1 if _near(parameters, after, odd) else 1
+    if period == 0.0 or odds >= _ODDS:
+        return True, Spread(covariance, 0.0, after)
+    periods = min(_multiple(period, after) / period, 1.0 + parameters.late_tolerance)
+    return False, Spread(covariance, 0.0, period, after, odds, strays + round(3.0 * (periods - 1.0)))
 
 
 def _multiple(period: float, time: float) -> float:

@@ -8,7 +8,7 @@ are set in flight.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import count
@@ -25,7 +25,15 @@ from kffa_offboard.control.blocks import (
     Limits,
     initial_state,
 )
-from kffa_offboard.control.composition import Coefficients, Lookahead, advance, coefficients
+from kffa_offboard.control.composition import (
+    Coefficients,
+    Lookahead,
+    advance,
+    coefficients,
+    discretised,
+    filter_gains,
+)
+from kffa_offboard.control.covariance import Spread
 from kffa_offboard.control.kalman import KalmanGains, KalmanState
 from kffa_offboard.control.tracing import Tape, Traced, compiled
 from kffa_offboard.control.tracking_differentiator import TrackingDifferentiatorState
@@ -35,7 +43,7 @@ Function: TypeAlias = Callable[..., tuple[float, ...]]
 LAWS = 32
 """Sets of parameters whose functions are kept."""
 
-REMEMBERED = 32
+REMEMBERED = 256
 """Coefficients that are kept for each of them; beyond it what was needed longest ago is forgotten."""
 
 
@@ -43,7 +51,7 @@ _ANY_STEP = 0.01  # s; the function is the same for all
 
 
 class Found(NamedTuple):
-    """Coefficients, and the same as `Law.function` takes them.
+    """Coefficients without the Kalman filter's, and the same as `Law.function` takes them.
 
     Attributes
     ----------
@@ -55,6 +63,16 @@ class Found(NamedTuple):
     numbers: list[list[float]]
     delay: Array
     span: Array
+
+
+class FoundGains(NamedTuple):
+    """The Kalman filter's gains as `Law.function` takes them, and its spreads after the step."""
+
+    numbers: list[list[float]]
+    spreads: tuple[Spread, ...]
+
+
+_NO_GAINS = FoundGains([], ())
 
 
 _functions: dict[tuple[Any, ...], Function] = {}
@@ -76,22 +94,30 @@ class Law:
         self._parameters = parameters
         self._numbers = [array.reshape(-1).tolist() for array in _parameter_arrays(parameters)]
         self._found: dict[tuple[object, ...], Found] = {}
+        self._gains: dict[tuple[object, ...], FoundGains] = {}
         self._shares: dict[tuple[object, ...], tuple[Array, int, tuple[float, ...]]] = {}
 
     def find(self, state: ControllerState, inputs: ControllerInput, dt: float) -> Found:
         """Look up the coefficients of a step, or work them out."""
-        key = (
-            dt,
-            inputs.fresh.tobytes(),
-            state.observer.elapsed.tobytes(),
-            None if state.kalman is None else state.kalman.spreads,
-        )
+        key = (dt, inputs.fresh.tobytes(), state.observer.elapsed.tobytes())
         known = self._found.pop(key, None)
         if known is None:
-            found = coefficients(self._parameters, state, inputs, dt)
-            numbers = [array.reshape(-1).tolist() for array in _coefficient_arrays(found)]
-            known = Found(found, numbers + self._numbers, *_windows(found))
+            found = discretised(self._parameters, state, inputs, dt)
+            known = Found(found, _flat(_coefficient_arrays(found)) + self._numbers, *_windows(found))
         _keep(self._found, key, known)  # as the latest
+        return known
+
+    def find_gains(self, state: ControllerState, inputs: ControllerInput, dt: float) -> FoundGains:
+        """Look up the Kalman filter's gains, or work them out: odd times make them many."""
+        noise, filtered = self._parameters.kalman, state.kalman
+        if noise is None or filtered is None:
+            return _NO_GAINS
+        key = (dt, inputs.fresh.tobytes(), filtered.spreads)
+        known = self._gains.pop(key, None)
+        if known is None:
+            gains, spreads = filter_gains(self._parameters, noise, filtered, inputs, dt)
+            known = FoundGains(_flat(gains), spreads)
+        _keep(self._gains, key, known)
         return known
 
     def shares(self, state: ControllerState, found: Found, dt: float) -> tuple[Array, int, tuple[float, ...]]:
@@ -107,6 +133,10 @@ class Law:
             known = actuator.shares(ages, found.delay, found.span), over, actuator.kept(ages, over)
             _keep(self._shares, key, known)
         return known
+
+
+def _flat(arrays: Iterable[Array]) -> list[list[float]]:
+    return [array.reshape(-1).tolist() for array in arrays]
 
 
 def _windows(found: Coefficients) -> list[Array]:
@@ -149,15 +179,15 @@ def step(
 ) -> tuple[ControllerState, ControllerOutput]:
     """`controllers.step`, for what `is_straight`."""
     known = law(parameters, inputs.measured_rate is not None)
-    found = known.find(state, inputs, dt)
+    found, gains = known.find(state, inputs, dt), known.find_gains(state, inputs, dt)
     shares, over, ages = known.shares(state, found, dt)
     means = np.add.reduce(shares * state.actuator.commands[:, None])
     given = (*_state_arrays(state), *_input_arrays(inputs), *means)
-    numbers = known.function(*[array.tolist() for array in given], *found.numbers)
+    numbers = known.function(*[array.tolist() for array in given], *gains.numbers, *found.numbers)
     rows = list(np.array(numbers).reshape(-1, inputs.reference.size))
     queue = actuator.ActuatorState(ages, state.actuator.commands[over:], rows[6])
     queue = actuator.send(queue, rows[-3])
-    return _next_state(state, found.coefficients, queue, rows), _output(rows)
+    return _next_state(state, found.coefficients.elapsed, gains.spreads, queue, rows), _output(rows)
 
 
 def _changing_arrays(state: ControllerState) -> list[Any]:
@@ -186,11 +216,11 @@ def _input_arrays(inputs: ControllerInput) -> list[Any]:
 
 
 def _coefficient_arrays(found: Coefficients) -> list[Array]:
-    """What of the coefficients differs from step to step."""
+    """What of the coefficients differs from step to step, but for the Kalman filter's gains."""
     arrays = [np.array(found.dt), found.window.held, found.window.decay, *found.discrete[:3]]
     if found.ahead is not None:
         arrays += [found.ahead.window.held, *found.ahead.discrete[:3]]
-    for more in (found.correction, found.kalman, found.scales):
+    for more in (found.correction, found.scales):
         arrays += [] if more is None else more
     return [np.asarray(array) for array in arrays]
 
@@ -224,15 +254,19 @@ def _structure(parameters: ControllerParameters, with_rate: bool) -> tuple[Any, 
 
 
 def _next_state(
-    state: ControllerState, found: Coefficients, queue: actuator.ActuatorState, rows: list[Array]
+    state: ControllerState,
+    elapsed: Array,
+    spreads: tuple[Spread, ...],
+    queue: actuator.ActuatorState,
+    rows: list[Array],
 ) -> ControllerState:
     """The state after the step; `rows` are those of `_results`."""
     filtered = state.kalman
     if filtered is not None:
-        filtered = KalmanState(rows[7], rows[8], rows[9], found.spreads)
+        filtered = KalmanState(rows[7], rows[8], rows[9], spreads)
     return ControllerState(
         TrackingDifferentiatorState(rows[0], rows[1], rows[2]),
-        observer.ObserverState(rows[3], rows[4], rows[5], found.elapsed),
+        observer.ObserverState(rows[3], rows[4], rows[5], elapsed),
         queue,
         state.pid,
         filtered,
@@ -270,9 +304,10 @@ def _traced(parameters: ControllerParameters, with_rate: bool) -> Function:
     state = _with_state_arrays(state, symbols(_state_arrays(state)))
     inputs = ControllerInput(*symbols(_input_arrays(inputs)))
     means = symbols([zero, zero])
+    gains = None if found.kalman is None else KalmanGains(*symbols(found.kalman))
     parts = found, symbols(_coefficient_arrays(found))
     parameters = _with_parameter_arrays(parameters, symbols(_parameter_arrays(parameters)))
-    found = _with_coefficient_arrays(*parts, parameters.model)
+    found = _with_coefficient_arrays(*parts, parameters.model)._replace(kalman=gains)
     advanced, output = advance(parameters, found, state, inputs, means)
     return compiled(tape, arguments, _results(advanced, output))
 
@@ -310,7 +345,6 @@ def _with_coefficient_arrays(
         discrete=discrete,
         ahead=ahead,
         correction=(next(given), next(given), next(given)),
-        kalman=None if found.kalman is None else KalmanGains(next(given), next(given)),
         scales=None if found.scales is None else (next(given), next(given)),
     )
 

@@ -135,6 +135,7 @@ def test_what_comes_five_times_in_a_row_is_the_usual_time() -> None:
     assert measured(TOLERANT, spread, [0.02] * 4).period == 0.01
     assert measured(TOLERANT, spread, [0.02, 0.02, 0.01, 0.02, 0.02, 0.02, 0.02]).period == 0.01
     assert measured(TOLERANT, spread, [0.02] * 5).period == 0.02
+    assert measured(TOLERANT, spread, [0.02, 0.03, 0.045, 0.07, 0.1]).period == 0.01, "odd, each another"
     burst = [0.04, 0.001, 0.001, 0.001, 0.01]  # a sender that makes up for a delay
     assert measured(TOLERANT, spread, burst).period == 0.01
 
@@ -213,6 +214,33 @@ def test_an_odd_time_has_the_gain_of_the_nearest_multiple_or_part_of_the_period(
     at_once, _ = corrected(forgiving, MODEL, 0, True, spread, 1e-6)
     tenth, _ = corrected(PATIENT, MODEL, 0, True, Spread(spread.covariance, period=0.01), 0.001)
     np.testing.assert_allclose(at_once, tenth, rtol=1e-9)
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+@pytest.mark.parametrize("times", [[0.001, 0.019], [0.006, 0.014], [0.019, 0.001]], ids=str)
+def test_without_a_usual_time_the_mean_is_the_period_in_two_seconds(times, channel) -> None:
+    """With 1 and 19 ms in turn the first was the period for ever: gains on rates were a third of them."""
+    forgiving = replace(TOLERANT, late_tolerance=2.0)
+    spread = measured(forgiving, begin(forgiving, channel), times * 100, channel)
+    exact = measured(PATIENT, begin(PATIENT, channel), times * 100, channel)
+    means = []
+    for parameters, state in ((forgiving, spread), (PATIENT, exact)):
+        gains = []
+        for dt in times * 5:
+            gain, state = corrected(parameters, MODEL, channel, True, state, dt)
+            gains.append(gain)
+        means.append(np.mean(gains, axis=0))
+    assert spread.period == pytest.approx(0.01, rel=0.35)
+    np.testing.assert_allclose(means[0][1:, 1], means[1][1:, 1], rtol=0.1)  # rate and disturbance
+
+
+def test_a_twentieth_of_late_samples_and_a_silence_each_second_are_no_new_period() -> None:
+    forgiving = replace(TOLERANT, late_tolerance=2.0)
+    for times in ([0.01] * 19 + [0.05], [0.01] * 100 + [0.3], [0.01] * 40 + [3.0]):
+        spread = begin(forgiving)
+        for dt in times * 20:
+            _, spread = corrected(forgiving, MODEL, 0, True, spread, dt)
+            assert spread.period == 0.01
 
 
 def test_before_it_has_come_to_rest_an_odd_time_does_not_hold_it_up(asked) -> None:

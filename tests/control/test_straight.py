@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from kffa_offboard.config import bundled, load
-from kffa_offboard.control import controllers, straight
+from kffa_offboard.control import composition, controllers, straight
 from kffa_offboard.control.controllers import ControllerInput
 from kffa_offboard.control.covariance import Covariance
 
@@ -73,6 +73,22 @@ def test_the_same_numbers_as_the_array_code(name, seed, with_rate, noise):
             state = controllers.with_applied(parameters, state, applied)
         if random.random() < 0.1:
             state = controllers.align_reference(parameters, state)
+
+
+def test_models_are_worked_out_once_for_each_length_of_a_step_whatever_the_order(monkeypatch):
+    worked_out = []
+
+    def counted(parameters, state, inputs, dt):
+        worked_out.append(dt)
+        return composition.discretised(parameters, state, inputs, dt)
+
+    monkeypatch.setattr(straight, "discretised", counted)
+    parameters, random = replace(LADRC), np.random.default_rng(0)  # parameters that nobody else has
+    state, lengths = initial(parameters), [0.003, 0.004, 0.005, 0.007, 0.009, 0.012]
+    for _ in range(400):
+        inputs = ControllerInput(np.zeros(4), random.normal(size=4), np.ones(4, dtype=bool), np.zeros(4))
+        state, _ = controllers.step(parameters, state, inputs, float(random.choice(lengths)))
+    assert sorted(worked_out) == lengths
 
 
 def test_a_measurement_that_is_no_number_reaches_the_command():
