@@ -14,9 +14,8 @@ from kffa_offboard.loganalysis.shadow import Shadow
 
 
 def draw(path: Path, found: Shadow, vehicle_mass_kg: float | None) -> None:
-    """Write a picture: altitude, disturbances, total mass."""
-    estimates, start = found.estimates, found.estimates.time_s[0]
-    time_s = estimates.time_s - start
+    """Write a picture: altitude, disturbances, total mass; its time is the log's, as in what is told."""
+    estimates, time_s = found.estimates, found.estimates.time_s
     figure, axes = plt.subplots(3, 1, figsize=(9, 8), sharex=True, constrained_layout=True)
     axes[0].plot(time_s, estimates.measurement[:, 3], lw=1.0)
     axes[0].set_ylabel("altitude, m")
@@ -30,11 +29,11 @@ def draw(path: Path, found: Shadow, vehicle_mass_kg: float | None) -> None:
     axes[1].set_ylim(low - 1.0, high + 1.0)
     if found.mass is not None:
         scale = 1.0 if vehicle_mass_kg is None else vehicle_mass_kg
-        axes[2].plot(found.mass.time_s - start, scale * found.mass.mass_ratio, lw=1.0)
+        axes[2].plot(found.mass.time_s, scale * found.mass.mass_ratio, lw=1.0)
         for change in found.mass.changes:
-            axes[2].axvline(change.time_s - start, color="0.5", lw=0.8, ls="--")
+            axes[2].axvline(change.time_s, color="0.5", lw=0.8, ls="--")
     axes[2].set_ylabel("total / empty mass" if vehicle_mass_kg is None else "total mass, kg")
-    axes[2].set_xlabel("time, s")
+    axes[2].set_xlabel("time in the log, s")
     for axis in axes:
         axis.grid(alpha=0.3)
     figure.savefig(path, dpi=110)

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from kffa_offboard.errors import UserError
 from kffa_offboard.loganalysis.link_quality import StreamQuality, response_delay, stream_quality, verdict
@@ -15,6 +16,7 @@ from kffa_offboard.loganalysis.mass import track_mass
 from kffa_offboard.loganalysis.record import FlightRecord, Series
 from kffa_offboard.loganalysis.shadow import shadow
 from kffa_offboard.loganalysis.shadow_command import run_shadow
+from kffa_offboard.loganalysis.shadow_figure import draw
 
 HOVER = 0.4
 PICKUP_S, DROP_S = 8.0, 14.0
@@ -144,3 +146,21 @@ def test_json_and_files_of_the_command(
     assert told["telemetry"]["attitude"]["rate_hz"] == pytest.approx(50.0)
     assert (tmp_path / "out" / "shadow.csv").read_text().startswith("time_s,measured_roll")
     assert (tmp_path / "out" / "shadow.png").stat().st_size > 5_000
+
+
+def test_the_picture_has_the_times_that_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[Figure] = []
+    monkeypatch.setattr("kffa_offboard.loganalysis.shadow_figure.plt.close", drawn.append)
+    flight = hover_with_load(0.5)
+    since_power_up = {
+        name: Series(series.time_s + 300.0, series.values)
+        for name, series in vars(flight).items()
+        if isinstance(series, Series)
+    }
+    found = shadow(replace(flight, **since_power_up), None)
+    assert found.mass is not None
+    draw(tmp_path / "shadow.png", found, None)
+    altitude, _, mass = drawn[0].axes
+    strokes = [line.get_xdata()[0] for line in mass.lines[1:]]  # type: ignore[index]
+    assert strokes == [change.time_s for change in found.mass.changes]
+    assert altitude.lines[0].get_xdata()[0] == found.estimates.time_s[0] >= 300.0  # type: ignore[index]
