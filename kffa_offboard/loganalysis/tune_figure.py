@@ -78,16 +78,22 @@ def _bode(
         fontsize=10,
     )
     gain.set_ylabel("gain, dB")
-    phase.semilogx(omega, degrees)
+    degrees = about_minus_180(degrees, float(np.interp(margins.crossover_rad_s, omega, degrees)))
     here = float(np.interp(margins.crossover_rad_s, omega, degrees))
-    line = 360.0 * np.round((here + 180.0) / 360.0) - 180.0
-    phase.axhline(line, color="0.5", lw=0.8)
-    phase.plot([margins.crossover_rad_s] * 2, [line, here], "r", marker="o", ms=3)
-    phase.set_ylim(line - 180.0, line + 270.0)
+    phase.semilogx(omega, degrees)
+    phase.axhline(-180.0, color="0.5", lw=0.8)
+    phase.plot([margins.crossover_rad_s] * 2, [-180.0, here], "r", marker="o", ms=3)
+    phase.set_ylim(-360.0, 90.0)
     phase.set_ylabel("phase, degrees")
     phase.set_xlabel("rad/s")
     for axis in (gain, phase):
         axis.grid(alpha=0.3, which="both")
+
+
+def about_minus_180(degrees: NDArray[np.float64], crossover_deg: float) -> NDArray[np.float64]:
+    """The phase [degrees] less whole turns, so that the margin at the crossover stands on -180 degrees."""
+    turns: int = round((crossover_deg + 180.0) / 360.0)
+    return degrees - 360.0 * turns
 
 
 def _nyquist(axis: Axes, loop: NDArray[np.complex128], wanted: Wanted) -> None:

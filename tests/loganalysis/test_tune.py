@@ -29,6 +29,7 @@ from kffa_offboard.loganalysis.margins import Wanted, frequencies, margins
 from kffa_offboard.loganalysis.tune import allowed_bandwidths, parameters_of, tune
 from kffa_offboard.loganalysis.tune_altitude import DROP_M_S2, AltitudeSearch, Candidate
 from kffa_offboard.loganalysis.tune_command import control_of, run_tune
+from kffa_offboard.loganalysis.tune_figure import about_minus_180
 from kffa_offboard.offboard.settings import LimitSettings
 
 PERIOD_S = 0.01
@@ -242,6 +243,12 @@ def test_the_altitude_loop_for_a_real_px4_has_margin_over_a_slow_link_and_with_h
     loop, vehicle = altitude_loop("compare-px4.toml", period_s, link_s, 0.02)
     omega = frequencies(period_s)
     assert margins(omega, frequency_response(open_loop(loop, vehicle), omega)).meet(wanted)
+
+
+@pytest.mark.parametrize("turns", [-1, 0, 1])
+def test_the_drawn_phase_margin_stands_on_minus_180_degrees_whatever_the_turns(turns: int) -> None:
+    phase = np.array([-266.0, -134.0, -400.0])
+    assert about_minus_180(phase + 360.0 * turns, -134.0 + 360.0 * turns) == pytest.approx(phase)
 
 
 def test_tune_writes_tables_that_load_and_a_picture(
