@@ -146,8 +146,9 @@ def _latency(flights: Sequence[Flight], zeros_s: Sequence[float]) -> Panel:
 
 
 def _arrivals(flights: Sequence[Flight], zeros_s: Sequence[float], name: str) -> Panel:
+    """Pauses to the microsecond, in which arrivals are recorded: what is finer is the rounding of sums."""
     curves = [
-        Curve(number, "", Line(times[1:] - zero_s, 1e3 * np.diff(times)))
+        Curve(number, "", Line(times[1:] - zero_s, 1e3 * np.round(np.diff(times), 6)))
         for number, (flight, zero_s) in enumerate(zip(flights, zeros_s, strict=True))
         if len(times := flight.arrivals.get(name, np.zeros(0))) > 1
     ]

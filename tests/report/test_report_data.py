@@ -107,6 +107,13 @@ def test_angles_are_shown_in_degrees_and_gaps_interrupt_the_line(write_log, tmp_
     assert np.isnan(found["altitude-disturbance"].curves[0].line.values[:50]).all()
 
 
+def test_pauses_between_messages_are_shown_without_the_rounding_of_sums():
+    times = np.arange(300) * 0.01 + 1.03
+    flight = Flight("f", Origin("f"), arrivals={"attitude": times})
+    (panel,) = panels([flight], [0.5])
+    assert np.all(panel.curves[0].line.values == 10.0)
+
+
 def test_states_modes_arming_loads_and_texts_are_events(write_log, tmp_path):
     events = read_flight(write_log(tmp_path / "flight.tlog")).events
 
