@@ -156,7 +156,7 @@ def _tell_what_if(plan: ReplayPlan, recording: Recording, config: DaemonConfig, 
         return 0
     table = Table(title=f"{plan.log.name} with {plan.config}: what would have changed while engaged")
     for heading in ("signal", "channel"):
-        table.add_column(heading)
+        table.add_column(heading, no_wrap=True)
     for heading in ("rms recorded", "rms of the change", "largest change", "at", "unit"):
         table.add_column(heading, justify="right")
     attitude = config.service.output == "attitude"
@@ -167,7 +167,7 @@ def _tell_what_if(plan: ReplayPlan, recording: Recording, config: DaemonConfig, 
         table.add_row(
             change.signal,
             change.channel,
-            f"{change.recorded_rms:.4g}",
+            f"{change.recorded_rms:.3g}",
             f"{change.rms:.3g}",
             f"{change.largest:.3g}",
             f"{change.largest_at_s:.2f} s",

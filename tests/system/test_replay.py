@@ -184,6 +184,13 @@ def test_other_gains_tell_what_would_have_changed(drop, tmp_path):
         assert told == {0.0}, "the same estimators saw the same samples and the same applied commands"
 
 
+def test_the_table_of_changes_fits_a_terminal_of_80_columns(drop, tmp_path):
+    said = CliRunner().invoke(app, ["replay", str(drop), "--config", str(bundled("demo-px4.toml"))]).output
+    assert max(len(line) for line in said.splitlines()) <= 80
+    assert "\N{HORIZONTAL ELLIPSIS}" not in said
+    assert said.count("disturbance") == 4
+
+
 def test_another_output_estimates_height_from_the_thrust_that_was_flown(drop):
     recording = read_recording(drop)
     flown = config_of(recording.header, drop)
