@@ -177,6 +177,10 @@ def run(
         raise UserError(
             f"--fix-params changes the vehicle's parameters, {other} does not; leave out one of them"
         )
+    if reengage and not engage:
+        raise UserError(
+            "--reengage is what --engage does after a restart in flight; give both, or leave it out"
+        )
     overrides = Overrides(
         link,
         controller,

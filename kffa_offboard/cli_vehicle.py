@@ -233,9 +233,10 @@ def _log_writer(
 @contextmanager
 def _plot_stream(url: str, clock: Clock, name: str) -> Iterator[PlotStream]:
     """Signals for a plotting program. Nobody need listen there. Raises UserError for a wrong `url`."""
-    address = parse_url(url)
-    if not isinstance(address, NetworkAddress) or address.kind != "udpout":
+    if not url.startswith("udpout:"):
         raise UserError(f"--plot {url!r}: signals go out over UDP only; write udpout:HOST:PORT")
+    address = parse_url(url)
+    assert isinstance(address, NetworkAddress)  # as that kind is
     with closing(UdpLink(address, clock)) as link:
         yield PlotStream(link.send, name)
 

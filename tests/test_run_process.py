@@ -130,12 +130,22 @@ def test_real_time_and_lock_step_contradict_each_other(capsys):
     assert "--realtime is for flying by the clock" in said_by(capsys, "--realtime", "--lockstep")
 
 
+def test_reengaging_without_engaging_is_refused(capsys):
+    assert "--reengage is what --engage does after a restart" in said_by(capsys, "--reengage")
+
+
+@pytest.mark.parametrize("url", ["127.0.0.1:9870", "udpin:127.0.0.1:9870", "serial:/dev/ttyS0:57600"])
+def test_a_place_for_signals_that_is_none_names_option_and_remedy(url, capsys):
+    said = said_by(capsys, "--link", "udpin:127.0.0.1:0", "--plot", url)
+    assert said == f"error: --plot '{url}': signals go out over UDP only; write udpout:HOST:PORT"
+
+
 def test_a_log_directory_that_cannot_be_written_is_said_at_the_start(tmp_path, capsys):
     (tmp_path / "file").touch()
     log = tmp_path / "file" / "logs" / "flight.tlog"
     said = said_by(capsys, "--link", "udpin:127.0.0.1:0", "--log", str(log))
     assert said.startswith(f"error: cannot make directory {log.parent} for the flight log: ")
-    assert said.endswith("; choose another log.directory")
+    assert said.endswith("; choose another --log or log.directory")
 
 
 def test_real_time_that_is_required_and_not_permitted_is_said_before_flying(monkeypatch, tmp_path, capsys):

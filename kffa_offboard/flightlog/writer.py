@@ -295,7 +295,7 @@ def _create(path: Path) -> Any:
     except OSError as error:
         raise UserError(
             f"cannot make directory {path.parent} for the flight log: {error.strerror}; "
-            "choose another log.directory"
+            "choose another --log or log.directory"
         ) from error
     try:
         return path.open("xb", buffering=0)
@@ -303,5 +303,5 @@ def _create(path: Path) -> Any:
         raise LogExists(f"flight log {path} exists already; choose another name or move it away") from error
     except OSError as error:
         raise UserError(
-            f"cannot write flight log {path}: {error.strerror}; choose another log.directory"
+            f"cannot write flight log {path}: {error.strerror}; choose another --log or log.directory"
         ) from error
