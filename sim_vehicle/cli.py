@@ -34,6 +34,8 @@ app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
+    rich_markup_mode="markdown",
+    context_settings={"help_option_names": ["--help", "-h"]},
 )
 
 
@@ -46,7 +48,15 @@ def _commands() -> None:
     """Keep `run` a sub-command although it is the only one."""
 
 
-@app.command()
+@app.command(
+    epilog=(
+        "Examples:\n\n"
+        "    sim-vehicle run --config configs/sim-px4.toml\n\n"
+        "    sim-vehicle run --config configs/demo-px4-vehicle.toml --truth true.csv    (a load, too)\n\n"
+        "    sim-vehicle run --link udpout:127.0.0.1:14540 --link tcpin:127.0.0.1:5760\n\n"
+        "Exit status: 0 after --duration, 2 for bad input, 130 after Ctrl-C, 143 after SIGTERM."
+    )
+)
 def run(
     config: Annotated[
         Path | None, typer.Option(help="TOML file; without it, PX4 on udpout:127.0.0.1:14540.")
@@ -87,8 +97,6 @@ def run(
     advances only when the controller has answered: deterministic, and as fast as the machine allows.
     With --backend ardupilot-json or px4-hil, it is the body that an ArduCopter or PX4 of yours flies;
     connect to that one.
-
-    Exit status: 0 after --duration, 2 for bad input, 130 after Ctrl-C.
     """
     try:
         overrides = _overrides(link, personality, seed, lockstep, backend, speedup)

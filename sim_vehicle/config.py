@@ -289,8 +289,13 @@ def load(path: Path, overrides: Mapping[str, Mapping[str, Any]] | None = None) -
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as problem:
         raise SimulatorError(f"{path}: no such file; give the path of a TOML file") from problem
-    except (OSError, UnicodeDecodeError) as problem:
-        raise SimulatorError(f"{path}: cannot be read: {problem}") from problem
+    except OSError as problem:
+        reason = problem.strerror or str(problem)
+        raise SimulatorError(f"{path}: cannot be read: {reason}; give the path of a TOML file") from problem
+    except UnicodeDecodeError as problem:
+        raise SimulatorError(
+            f"{path}: is not UTF-8 text (byte {problem.start}); save it as UTF-8"
+        ) from problem
     except tomllib.TOMLDecodeError as problem:
         raise SimulatorError(f"{path}: not valid TOML: {problem}") from problem
     except (ValueError, RecursionError) as problem:  # thousands of digits, thousands of brackets

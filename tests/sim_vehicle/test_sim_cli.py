@@ -52,6 +52,10 @@ def test_options_choose_personality_and_links():
             ["--config", str(CONFIG.with_name("demo-px4.toml"))],
             "is a configuration of the daemon; give it to",
         ),
+        (
+            ["--config", str(CONFIG.parent)],
+            "configs: cannot be read: Is a directory; give the path of a TOML",
+        ),
         (["--personality", "cleanflight"], "vehicle.personality = 'cleanflight': not a choice"),
         (["--link", "udpin:localhost"], "link.endpoints = 'udpin:localhost': not of the form"),
         (["--seed", "-3"], "vehicle.seed = -3: too small"),
@@ -115,8 +119,17 @@ def test_without_a_file_true_states_are_let_go() -> None:
         assert recorder.rows == []
 
 
-def test_help_explains_run():
-    result = CliRunner().invoke(app, ["run", "--help"])
+def test_a_file_that_is_not_text_is_one_line(tmp_path):
+    config = tmp_path / "flight.tlog"
+    config.write_bytes(b"\x00\xfd\xa4")
+    assert run("--config", str(config)).stderr == (
+        f"error: {config}: is not UTF-8 text (byte 1); save it as UTF-8\n"
+    )
+
+
+@pytest.mark.parametrize("flag", ["--help", "-h"])
+def test_help_explains_run(flag):
+    result = CliRunner().invoke(app, ["run", flag])
     assert result.exit_code == 0
     for word in ("--lockstep", "--truth", "--duration", "Exit status"):
         assert word in result.output
