@@ -20,7 +20,7 @@ from kffa_offboard.selftest.faults import cases, run_fault
 from kffa_offboard.selftest.flights import run_flight
 from kffa_offboard.selftest.guard import run_guard
 from kffa_offboard.selftest.law import run_law
-from kffa_offboard.selftest.machine import run_machine
+from kffa_offboard.selftest.machine import GROUP, run_machine
 from kffa_offboard.selftest.result import Row
 from kffa_offboard.trials.processes import terminate_as_interrupt
 
@@ -55,6 +55,12 @@ def run_selftest(plan: SelftestPlan) -> int:
         print("stopped", file=sys.stderr)
         return INTERRUPTED
     return _tell(plan, rows, time.perf_counter() - began)
+
+
+_TOO_SLOW = (
+    f"{GROUP} was too slow or too busy to fly with: end other programs and test again; "
+    "docs/deployment.md, Punctuality, has what helps"
+)
 
 
 def _parts(directory: Path) -> list[tuple[str, Callable[[], list[Row]]]]:
@@ -98,4 +104,6 @@ def _tell(plan: SelftestPlan, rows: list[Row], took_s: float) -> int:
     console.print(table)
     verdict = f"{len(failed)} of {len(rows)} failed" if failed else f"all {len(rows)} passed"
     console.print(f"{verdict} in {took_s:.0f} s; files in {plan.directory}", soft_wrap=True, highlight=False)
+    if any(row.group == GROUP for row in failed):
+        console.print(_TOO_SLOW, soft_wrap=True, highlight=False)
     return FAILED if failed else 0

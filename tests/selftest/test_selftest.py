@@ -74,5 +74,13 @@ def test_exit_status_table_and_file(passed, status, tmp_path, monkeypatch, capsy
     assert json.loads((tmp_path / "out" / "selftest.json").read_text())["rows"] == told["rows"]
 
 
+@pytest.mark.parametrize(("group", "told"), [(machine.GROUP, True), ("guard", False)])
+def test_a_machine_that_is_too_slow_is_told_what_helps(group, told, tmp_path, monkeypatch, capsys):
+    rows = [Row(group, "100 Hz", "17 ms", "5 ms", False)]
+    monkeypatch.setattr(command, "_parts", lambda directory: [("timing", lambda: rows)])
+    assert run_selftest(SelftestPlan(tmp_path, False)) == 1
+    assert ("end other programs and test again" in capsys.readouterr().out) is told
+
+
 def test_what_is_not_a_number_fails():
     assert at_most("a", "one", float("nan"), 1.0, "m").passed is False
