@@ -123,3 +123,29 @@ def test_the_climb_rate_makes_the_height_quieter() -> None:
             heights.append(filtered[1])
         spread.append(np.std(heights[100:]))
     assert spread[1] < 0.7 * spread[0]
+
+
+def test_what_is_not_fresh_is_not_read() -> None:
+    state = kalman.initial_state(FUSED, np.zeros(2), np.zeros(2))
+    fresh, nothing = np.array([True, False]), np.array([0.1, np.nan])
+    state, _ = kalman.step(FUSED, MODEL, state, np.zeros(2), nothing, fresh, 0.01, nothing)
+    assert np.all(np.isfinite([state.estimate, state.rate, state.disturbance]))
+    assert state.estimate[0] > 0.01 and state.estimate[1] == 0.0
+
+
+def test_without_a_rate_the_gain_is_that_of_a_filter_without_one() -> None:
+    estimates = []
+    for parameters in (FUSED, EXTENDED):
+        state = kalman.initial_state(parameters, np.zeros(2), np.zeros(2))
+        for _ in range(20):
+            state, _ = kalman.step(
+                parameters, MODEL, state, np.zeros(2), np.full(2, 0.1), np.full(2, True), 0.01
+            )
+        estimates.append([state.estimate, state.rate, state.disturbance])
+    np.testing.assert_array_equal(*estimates)
+
+
+def test_a_known_step_of_the_disturbance_is_added_to_it() -> None:
+    state = kalman.initial_state(EXTENDED, np.zeros(2), np.array([1.0, -9.8]))
+    stepped = kalman.with_disturbance_step(EXTENDED, state, np.array([0.0, 3.0]))
+    np.testing.assert_allclose(stepped.disturbance, [1.0, -6.8])

@@ -75,6 +75,14 @@ def test_only_so_many_results_are_kept_and_what_was_not_asked_for_the_longest_go
     assert work.done == REMEMBERED + 2
 
 
+def test_what_is_asked_for_again_and_again_is_never_forgotten(work: Work) -> None:
+    """The gain of the usual time is one of hundreds: telemetry with odd times has a new one in each step."""
+    for number in range(1, 3 * REMEMBERED):
+        work.of(0)
+        work.of(number)
+    assert work.done == 3 * REMEMBERED
+
+
 def test_a_batch_of_many_flights_is_not_kept_and_takes_nothings_place(work: Work) -> None:
     work.of(0.01)
     for _ in range(REMEMBERED):

@@ -9,6 +9,7 @@ from kffa_offboard.mavlink.signed_link import SignedLink
 from kffa_offboard.mavlink.signing import Signer, Verdict
 from kffa_offboard.mavlink.signing_key import SigningKey
 from kffa_offboard.mavlink.transmission import DATAGRAM_LIMIT, Transmission, grouped
+from kffa_offboard.mavlink.transport import Datagram
 
 NOW_US = 1_790_000_000_000_000
 KEY = SigningKey(bytes(range(1, 33)))
@@ -77,6 +78,20 @@ def test_a_datagram_that_the_link_does_not_take_is_dropped_and_not_logged():
     assert sent.counters.frames_dropped > 10
 
 
+def test_a_message_that_the_link_does_not_take_was_not_sent():
+    wire = Wire()
+    sent = transmission(wire)
+    wire.refuses = 1
+    assert [sent.send(7, message) for message in values(2)] == [False, True]
+
+
+def test_each_of_the_frames_of_a_datagram_is_known_again_as_ours():
+    wire, rivals = Wire(), RivalWatch(Route())
+    Transmission(wire, Route(), rivals, None).send_together(7, values(21))
+    echoes = [echo for data in wire.sent for echo in mavlink.MAVLink(None).parse_buffer(data)]
+    assert [rivals.is_impostor(echo) for echo in echoes] == [False] * 21
+
+
 def grouped_again(datagram):
     return [bytes(message.get_msgbuf()) for message in mavlink.MAVLink(None).parse_buffer(datagram)]
 
@@ -91,6 +106,24 @@ def test_on_a_signing_link_each_frame_is_signed(keeps_frames_whole):
     other = Signer(KEY, link_id=1)
     assert [other.check(frame, NOW_US) for frame in frames] == [Verdict.GENUINE] * 21
     assert max(map(len, wire.sent)) < 1000, "what PX4 on a flight controller reads of a datagram"
+
+
+def test_an_echo_of_any_of_the_signed_frames_is_no_refusal():
+    wire = Wire()
+    link = SignedLink(wire, Signer(KEY), Signer(KEY), lambda: NOW_US)
+    transmission(link).send_together(7, values(21))
+    wire.receive = lambda timeout_s: [Datagram(NOW_US, data, "peer") for data in wire.sent]
+    assert link.receive(0.0) == []
+    assert not link.refused
+
+
+def test_of_frames_that_go_one_by_one_each_is_tried_and_all_must_be_taken():
+    wire = Wire(keeps_frames_whole=False)
+    link = SignedLink(wire, Signer(KEY), Signer(KEY), lambda: NOW_US)
+    pair = b"".join(message.pack(mavlink.MAVLink(None, 1, 1)) for message in values(2))
+    wire.refuses = 1
+    assert not link.send(pair) and len(wire.sent) == 1
+    assert link.send(pair) and len(wire.sent) == 3
 
 
 def test_groups_keep_order_and_limit_and_a_larger_frame_goes_alone():

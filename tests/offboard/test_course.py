@@ -94,6 +94,11 @@ def test_height_is_followed_no_faster_than_the_climb_rate():
         assert wish.altitude == pytest.approx(given) and said is None
 
 
+def test_a_time_that_goes_back_moves_no_height():
+    wish, _ = check_wish(LIMITS, Wish(0.0, 0.0, 9.0), Wish(0.0, 0.0, 5.0), -0.5)
+    assert wish.altitude == 5.0
+
+
 def test_a_wish_within_limits_is_not_touched():
     wish = Wish(0.1, -0.2, 5.0 + pi, (3.0, -4.0))
     assert check_wish(LIMITS, wish, wish._replace(altitude=wish.altitude - 0.001), 0.01)[0] == wish

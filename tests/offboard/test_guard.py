@@ -1,5 +1,6 @@
 """No setpoint outside the limits leaves, whatever the controller says."""
 
+from dataclasses import replace
 from math import cos, hypot, inf, nan, pi
 
 import pytest
@@ -67,6 +68,27 @@ def test_a_number_that_is_not_finite_is_never_repaired(bad, place):
 @pytest.mark.parametrize("target", [AttitudeTarget(0.4), AttitudeTarget(0.4, LEVEL, LEVEL)])
 def test_a_setpoint_of_no_kind_or_of_both_is_a_fault(target):
     assert check_target(LIMITS, target, None, LEVEL, 0.01, True).target is None
+
+
+@pytest.mark.parametrize("bad", [nan, inf, -inf])
+@pytest.mark.parametrize("kind", ["body_rates", "attitude"])
+def test_with_a_measured_attitude_or_a_time_that_is_not_finite_nothing_may_be_sent(bad, kind):
+    target = AttitudeTarget(0.4, **{kind: LEVEL})
+    assert check_target(LIMITS, target, target, (0.0, bad, 0.0), 0.01, True).target is None
+    assert check_target(LIMITS, target, target, LEVEL, bad, True).target is None
+
+
+def test_a_time_that_goes_back_changes_nothing_that_is_sent():
+    for kind in ("body_rates", "attitude"):
+        before = AttitudeTarget(0.4, **{kind: LEVEL})
+        wanted = AttitudeTarget(0.6, **{kind: (0.1, -0.1, 0.2)})
+        assert check_target(LIMITS, wanted, before, LEVEL, -0.5, True).target == before
+
+
+def test_a_tilt_limit_that_was_lowered_in_flight_holds_for_the_next_setpoint():
+    before, wanted = AttitudeTarget(0.4, attitude=(0.5, 0.0, 0.0)), AttitudeTarget(0.4, attitude=LEVEL)
+    checked = check_target(replace(LIMITS, tilt_max_rad=0.2), wanted, before, LEVEL, 0.001, True)
+    assert hypot(*checked.target.attitude[:2]) <= 0.2 + 1e-9
 
 
 def test_the_lower_thrust_limit_holds_only_in_the_air():
