@@ -169,3 +169,47 @@ def test_a_body_rate_that_stays_wrong_is_noticed(rate_hz, error, within_s):
 def test_what_was_passed_over_counts_as_dropped_and_does_not_arrive():
     known = Telemetry(position_stream=Stream(1_000, 2_000, (2_000,), 0, 4))
     assert trust.pass_over(known) == Telemetry(position_stream=Stream(1_000, 2_000, (2_000,), 0, 5))
+
+
+def test_a_rate_that_no_vehicle_of_ours_has_is_a_fault():
+    fastest, climb_rate = LIMITS.attitude_rate_max_rad_s, LIMITS.climb_rate_max_m_s
+    for share, faults in ((0.99, 0), (-0.99, 0), (1.01, 1), (-1.01, 1)):
+        assert len(watch_angles([(0.0, 0.0, 0.0, (0.0, 0.0, share * fastest))])) == faults
+        assert len(watch_heights([(0.0, 5.0, share * climb_rate)])[0]) == faults
+
+
+@pytest.mark.parametrize("flying", [True, False])
+def test_only_in_the_air_and_to_the_last_bit_are_values_that_stand_still_a_fault(flying):
+    known, faults = Trust(), {"still": 0, "rates move": 0, "position": 0}
+    long_us = round(3e6 * SETTINGS.frozen_time_s)
+    for kind in faults:
+        for now in range(0, long_us, 10_000):
+            rate = 1e-6 * (now // 10_000 % 2) if kind == "rates move" else 0.0
+            attitude = AttitudeReceived(now, (0.0, 0.0, 0.3), (0.0, rate, 0.0))
+            known, fault = trust.watch_attitude(SETTINGS, LIMITS, known, now, attitude, flying)
+            faults[kind] += fault is not None and kind != "position"
+            position = PositionReceived(now, (0.0, 0.0, 5.0), (0.0, 0.0, 0.0))
+            known, _, fault = trust.watch_position(SETTINGS, LIMITS, known, now, position, flying)
+            faults[kind] += fault is not None and kind == "position"
+        known = Trust()
+    assert faults["rates move"] == 0
+    assert (faults["still"] > 0) == (faults["position"] > 0) == flying
+
+
+def test_a_height_that_is_set_anew_four_times_a_second_is_noticed():
+    """Each step alone would be believed, and so would one now and then."""
+    hover = times(100, 4.0)
+    assert watch_heights([(t, 5.0 + 0.5 * (4.0 * t // 1), 0.0) for t in hover])[0]
+    assert not watch_heights([(t, 5.0 + 0.5 * (0.5 * t // 1), 0.0) for t in hover])[0]
+
+
+def test_single_late_samples_are_no_link_that_fills_up_however_many():
+    late_us = round(1e6 * SETTINGS.late_max_s) + 50_000
+    known, faults = Trust(), []
+    for number in range(600):
+        sample_us = 10_000 * number
+        arrival_us = sample_us + (late_us if number % 30 == 29 else 0)
+        event = AttitudeReceived(sample_us, (0.0, 0.0, 0.3), (0.0, 0.0, 0.0))
+        known, fault = trust.watch_attitude(SETTINGS, LIMITS, known, arrival_us, event, False)
+        faults.append(fault)
+    assert faults == [None] * 600
