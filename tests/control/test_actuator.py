@@ -87,3 +87,30 @@ def test_a_command_sent_again_at_the_same_moment_replaces_the_first() -> None:
     state = actuator.send(state, np.full(1, 0.5))
     _, acted = actuator.step(parameters(0.0), state, 0.01)
     assert acted[0] == 0.5
+
+
+def test_the_mean_over_a_step_is_that_of_the_lag_and_not_its_end() -> None:
+    state = actuator.send(actuator.initial_state(np.zeros(1)), np.ones(1))
+    state, mean = actuator.step(parameters(0.0, 0.1), state, 0.1)
+    np.testing.assert_allclose(mean, np.exp(-1.0), rtol=1e-12)
+    np.testing.assert_allclose(state.lagged, 1.0 - np.exp(-1.0), rtol=1e-12)
+
+
+def test_a_channel_with_a_longer_delay_than_the_others_has_its_own() -> None:
+    both = actuator.ActuatorParameters(np.array([0.0, 0.1]), np.zeros(2))
+    state = actuator.initial_state(np.zeros(2))
+    acted = []
+    for number in range(30):
+        state = actuator.send(state, np.full(2, float(number)))
+        state, mean = actuator.step(both, state, 0.01)
+        acted.append(mean)
+    np.testing.assert_allclose(acted[20], [20.0, 10.0], atol=1e-6)
+
+
+def test_with_a_delay_that_was_made_longer_the_oldest_command_acts_on() -> None:
+    state = actuator.initial_state(np.zeros(1))
+    for _ in range(10):
+        state = actuator.send(state, np.ones(1))
+        state, _ = actuator.step(parameters(0.02), state, 0.01)
+    _, mean = actuator.step(parameters(0.5), state, 0.01)
+    np.testing.assert_allclose(mean, 1.0)

@@ -173,6 +173,12 @@ def test_ardupilot_with_a_slow_loop_is_asked_for_what_it_can_send(ardupilot, aut
     assert ardupilot.interval_us(100.0) == 25_000
 
 
+@pytest.mark.parametrize("nonsense", [0.0, -400.0, float("nan")])
+def test_a_loop_rate_that_cannot_be_is_not_taken(ardupilot, autopilot, nonsense):
+    ardupilot.decode(autopilot.over_the_wire(parameter(b"SCHED_LOOP_RATE", nonsense)))
+    assert ardupilot.interval_us(100.0) == 10_000
+
+
 def test_a_denied_attitude_rate_is_asked_for_again_one_millisecond_slower(ardupilot, autopilot):
     intervals(ardupilot, 100.0)
     assert refuse(ardupilot, autopilot, mavlink.MAV_RESULT_DENIED) == []

@@ -38,3 +38,17 @@ def test_thrust_that_accelerates_does_not_carry():
     """On the way to another height; half a second of the setpoints' mean moved a vehicle by metres."""
     state = after([0.6] * 300 + [0.9] * 20, balance_of=lambda thrust: 0.6)
     assert not state.swings and state.thrust == pytest.approx(0.6)
+
+
+def test_loads_that_come_and_go_are_no_swing_at_any_time():
+    state, turns = None, []
+    for thrust in ([0.4] * 300 + [0.6] * 100) * 2 + [0.4] * 300:
+        state = follow(state, thrust, thrust, 0.01)
+        turns.append(state.swings)
+    assert not any(turns[:800])
+    assert follow(Carrying(0.4, 0.4, 0.4), 4.0, 4.0, 0.01).turns == 0.0, "the first side is no change of it"
+    assert not any(after(([0.4] * 1000 + [0.6] * 1000) * count).swings for count in (1, 2, 4, 8))
+
+
+def test_a_swing_by_a_quarter_of_the_thrust_is_one():
+    assert after([0.4] * 300 + [0.4 + 0.1 * sin(0.05 * k) for k in range(500)]).swings

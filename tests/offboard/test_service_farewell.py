@@ -35,6 +35,15 @@ def test_the_last_setpoint_of_a_failsafe_in_the_air_is_level_with_the_thrust_tha
     assert farewell.thrust == pytest.approx(carried, abs=0.02)
 
 
+def test_the_last_setpoint_keeps_the_heading_that_the_vehicle_has(fake):
+    flight = hovering(fake, output="rates")
+    flight.vehicle.attitude = np.array([0.0, 0.0, 0.2])
+    flight.run(0.03)
+    last, _ = flight.service.last_words()
+    assert flight.vehicle.attitude[2] > 0.1
+    assert last.attitude == pytest.approx((0.0, 0.0, flight.vehicle.attitude[2]), abs=0.03)
+
+
 def test_the_last_setpoint_to_a_vehicle_that_has_touched_down_does_not_raise_thrust_again(fake):
     """Its mean is still that of the descent: a vehicle that stands got nearly the thrust of a hover."""
     flight = fake.Lockstep(fake.settings(scenario=(Takeoff(2.0, 1.0), Land(0.7)))).run_to(State.ENGAGED)
