@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from kffa_offboard.offboard import events
+from kffa_offboard.offboard import admission, events
 from kffa_offboard.offboard.segments import Hold
 from kffa_offboard.offboard.service import State
+from kffa_offboard.offboard.settings import LimitSettings
+from kffa_offboard.offboard.telemetry import Telemetry
 
 HOLD = (Hold(100.0),)
 
@@ -238,3 +240,33 @@ def test_before_flight_any_plant_may_be_set(fake):
     flight = fake.Lockstep(fake.settings(engage=False), fake.airborne()).run_to(State.READY)
     flight.give(events.SettingsChanged(with_plant(fake.settings(engage=False), 3.0)))
     assert not flight.sent(events.RequestRefused)
+
+
+def test_thrust_that_just_carries_leaves_nothing_to_climb_with():
+    limits = LimitSettings(thrust_max=0.8)
+    assert admission.too_weak(limits, None) is None
+    assert admission.too_weak(limits, 0.76) is None
+    assert admission.too_weak(limits, 0.77) == "thrust 0.77 carries the vehicle; thrust_max = 0.8"
+
+
+@pytest.mark.parametrize(
+    ("share", "climb_rate", "landed", "grounded"),
+    [
+        (1.0, 0.0, None, False),
+        (0.01, 0.0, None, True),
+        (0.01, -3.0, None, None),  # it may fall
+        (0.01, 3.0, None, None),
+        (1.0, 0.0, True, None),  # what is said contradicts what is seen
+        (0.01, 0.0, True, True),
+        (0.01, -3.0, False, False),
+    ],
+)
+def test_whether_the_vehicle_stands_is_told_only_if_it_is_known(fake, share, climb_rate, landed, grounded):
+    settings = fake.settings()
+    known = Telemetry(
+        heartbeat=events.HeartbeatReceived("px4", events.ModeKind.OTHER, "POSCTL", 0, True),
+        position=events.PositionReceived(0, (0.0, 0.0, 1.0), (0.0, 0.0, climb_rate)),
+        throttle=share * settings.hover_thrust,
+        on_ground=landed,
+    )
+    assert admission.grounded(settings, known, 0) is grounded
