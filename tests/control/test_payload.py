@@ -215,3 +215,21 @@ def test_with_jitter_the_thrust_of_one_vehicle_moves_as_that_of_a_batch(flying):
         assert one.thrust.lagged[0] == pytest.approx(batch.thrust.lagged[0, 0], rel=1e-14)
         thrust = generator.uniform(0.3, 0.7)
         one, batch = payload.send(one, np.array(thrust)), payload.send(batch, np.full(1, thrust))
+
+
+@pytest.mark.parametrize(("before", "after"), [(0.0, 5.0), (5.0, 0.0)])
+def test_one_vehicle_alone_notices_a_load_that_comes_and_one_that_goes(before, after):
+    """Its steps are written out, other than those of a batch."""
+    thrust, rate = np.array(HOVER * (1.0 + before / EMPTY)), 0.0
+    state = payload.initial_state(thrust, np.array(0.0))
+    noticed = []
+    for k in range(250):
+        total = EMPTY + (before if k < 200 else after)
+        rate += (float(thrust) * EMPTY / HOVER * GRAVITY / total - GRAVITY) * DT
+        state, found = payload.step(PARAMETERS, state, np.array(rate), np.array(1.0), True, DT)
+        if k < 100:
+            state = payload.accept(PARAMETERS, state)
+        if found.change != 0.0:
+            noticed.append((k, float(found.change)))
+    ((step, change),) = noticed
+    assert 200 < step <= 225 and change == pytest.approx(after - before, abs=0.5)
