@@ -27,10 +27,8 @@ LITERAL_PROCESS_VARIANCE = 0.03  # the paper's Q, per step (section III-C)
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _ODDS = 5  # in a row are a new period: two or three also come when a sender makes up for a delay
-_STRAYS, _STRIDE = (
-    45,
-    1.5,
-)  # where no time comes so often: so many, and the period is longer or shorter by this
+_STRAYS = 45  # where no time comes so often: with so many of them
+_STRIDE = 1.5  # the period becomes longer or shorter by this factor
 _SMALLEST_PART = 10  # of the period, a time that gains are worked out for
 _DOUBLINGS = 40  # of the time until which the Riccati equation is followed
 _EXACT = 1e-14  # of the standard deviations, as `KalmanParameters.rest_tolerance`
@@ -279,8 +277,10 @@ def _times(parameters: KalmanParameters, spread: Spread, after: float) -> tuple[
     odds = odds + 1 if _near(parameters, after, odd) else 1
     if period == 0.0 or odds >= _ODDS:
         return True, Spread(covariance, 0.0, after)
-    periods = min(_multiple(period, after) / period, 1.0 + parameters.late_tolerance)
-    return False, Spread(covariance, 0.0, period, after, odds, strays + round(3.0 * (periods - 1.0)))
+    if parameters.late_tolerance > 0.0:
+        periods = min(_multiple(period, after) / period, 1.0 + parameters.late_tolerance)
+        strays += round(3.0 * (periods - 1.0))
+    return False, Spread(covariance, 0.0, period, after, odds, strays)
 
 
 def _multiple(period: float, time: float) -> float:
