@@ -29,6 +29,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(32)
 _ODDS = 5  # in a row are a new period: two or three also come when a sender makes up for a delay
 _STRAYS = 45  # where no time comes so often: with so many of them
 _STRIDE = 1.5  # the period becomes longer or shorter by this factor
+_LONGEST_STRAY = 6  # periods that a late time counts as at most: one silence alone changes nothing
 _SMALLEST_PART = 10  # of the period, a time that gains are worked out for
 _DOUBLINGS = 40  # of the time until which the Riccati equation is followed
 _EXACT = 1e-14  # of the standard deviations, as `KalmanParameters.rest_tolerance`
@@ -278,7 +279,7 @@ def _times(parameters: KalmanParameters, spread: Spread, after: float) -> tuple[
     if period == 0.0 or odds >= _ODDS:
         return True, Spread(covariance, 0.0, after)
     if parameters.late_tolerance > 0.0:
-        periods = min(_multiple(period, after) / period, 1.0 + parameters.late_tolerance)
+        periods = min(_multiple(period, after) / period, _LONGEST_STRAY)
         strays += round(3.0 * (periods - 1.0))
     return False, Spread(covariance, 0.0, period, after, odds, strays)
 

@@ -184,6 +184,7 @@ def test_at_rest_filterpy_is_asked_once_for_the_gain_of_each_odd_time_and_once_f
     spread = measured(forgiving, begin(forgiving), [0.01] * 200)
     asked.clear()
     after = measured(forgiving, spread, [0.05, 0.011, 0.008, 0.3, 0.009, 0.002, 0.01, 0.02, 0.05])
+    after = measured(forgiving, after, [0.01] * 20)  # so many late ones without a pause are a longer period
     assert after.covariance is spread.covariance
     assert len(asked) == 3, "0.002, 0.02, and the latest that is tolerated"
     asked.clear()
@@ -232,6 +233,14 @@ def test_without_a_usual_time_the_mean_is_the_period_in_two_seconds(times, chann
         means.append(np.mean(gains, axis=0))
     assert spread.period == pytest.approx(0.01, rel=0.35)
     np.testing.assert_allclose(means[0][1:, 1], means[1][1:, 1], rtol=0.1)  # rate and disturbance
+
+
+@pytest.mark.parametrize("times", [[0.001, 0.001, 0.019], [0.001] * 4 + [0.046], [0.001, 0.099]], ids=str)
+def test_bursts_are_not_taken_for_quick_telemetry(times) -> None:
+    """What was kept back and comes all at once: the first period stayed, with half the gain on the rate."""
+    forgiving, mean = replace(TOLERANT, late_tolerance=2.0), sum(times) / len(times)
+    spread = measured(forgiving, begin(forgiving), times * 60)
+    assert spread.period == pytest.approx(mean, rel=0.5)
 
 
 def test_a_twentieth_of_late_samples_and_a_silence_each_second_are_no_new_period() -> None:
