@@ -195,10 +195,16 @@ def _note(document: dict[str, Any]) -> Note:
     raise ValueError(f"note {what!r} of format {document.get('format')}; this version reads format {FORMAT}")
 
 
+_adapters: dict[str, TypeAdapter[Any]] = {}  # they take milliseconds to make
+
+
 def _checked(kind: type[Checked], fields: dict[str, Any]) -> Checked:
     """A note of that kind. Raises ValueError, one line, for fields of another type or missing ones."""
+    if kind.__name__ not in _adapters:
+        _adapters[kind.__name__] = TypeAdapter(kind)
     try:
-        return TypeAdapter(kind).validate_python(fields)
+        checked: Checked = _adapters[kind.__name__].validate_python(fields)
+        return checked
     except ValidationError as error:
         first = error.errors(include_url=False, include_context=False)[0]
         where = ".".join(map(str, first["loc"]))

@@ -322,6 +322,8 @@ class Session:
     def _reply(self, time_us: int) -> None:
         """Send what the companion has to say, in its order."""
         replies = self._companion.take()
+        if not replies:
+            return
         for announces, group in groupby(replies, lambda reply: isinstance(reply, Announce)):
             if announces:
                 self._dispatch(time_us, list(group))
