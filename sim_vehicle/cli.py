@@ -7,6 +7,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
+from importlib import metadata
 from pathlib import Path
 from types import FrameType
 from typing import Annotated, Any, NoReturn, TextIO
@@ -43,8 +44,18 @@ class _Terminated(Exception):
     """SIGTERM came."""
 
 
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(f"sim-vehicle {metadata.version('kffa-offboard')}")
+        raise typer.Exit
+
+
 @app.callback()
-def _commands() -> None:
+def _commands(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
     """Keep `run` a sub-command although it is the only one."""
 
 

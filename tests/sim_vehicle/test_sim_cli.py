@@ -8,6 +8,7 @@ import signal
 import socket
 import subprocess
 import sys
+from importlib import metadata
 from pathlib import Path
 
 import pytest
@@ -133,3 +134,8 @@ def test_help_explains_run(flag):
     assert result.exit_code == 0
     for word in ("--lockstep", "--truth", "--duration", "Exit status"):
         assert word in result.output
+
+
+def test_the_version_is_that_of_the_installed_package():
+    said = CliRunner().invoke(app, ["--version"])
+    assert (said.exit_code, said.output) == (0, f"sim-vehicle {metadata.version('kffa-offboard')}\n")
