@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
+
 from kffa_offboard.mavlink.component import FrameParser, Message, Route
 from kffa_offboard.mavlink.rivals import RivalWatch
 from kffa_offboard.mavlink.transport import Datagram, Link
@@ -33,6 +35,7 @@ class Reception:
         self._parser = FrameParser(link.keeps_frames_whole)
         self._notices: list[IntrusionNoticed] = []
         self._heard_us: int | None = None
+        self._signs = False
         self.bytes_received = 0
         self.heard: set[tuple[int, int]] = set()
 
@@ -52,7 +55,8 @@ class Reception:
         """Messages in a datagram. The first one of the target ties the link to its sender.
 
         What comes under our own ids is left out, and whatever strangers say; but a vehicle that has been
-        silent for `MOVED_US` may be one of them: it or a router was started again.
+        silent for `MOVED_US` may be one of them: it or a router was started again. A vehicle that signs, on a
+        link that does not, is announced: it hears nothing that we send.
         """
         self.bytes_received += len(datagram.data)
         if datagram.notice:
@@ -70,6 +74,9 @@ class Reception:
                 self.heard.add(sender)
             if sender == (route.target_system, route.target_component):
                 self._link.lock(datagram.source)
+                if header.incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED and not self._signs:
+                    self._signs = True  # a signing link has taken the signature off
+                    self._notice("vehicle signs messages: give [signing] key_file", "said")
             ours = ours or sender == (route.own_system, route.own_component)
         return self._without_own(messages) if ours else messages
 

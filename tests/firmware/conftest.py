@@ -10,6 +10,8 @@ import contextlib
 import os
 import socket
 import subprocess
+import time
+import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,9 +19,14 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.compare import firmware
 from kffa_offboard.compare.firmware import find_firmware
-from kffa_offboard.compare.plan import AutopilotName
+from kffa_offboard.compare.plan import AutopilotName, Trial, head_start_s
+from kffa_offboard.compare.simulation import physics_document, start_physics
+from kffa_offboard.compare.toml_text import merged
+from kffa_offboard.config import bundled
 from kffa_offboard.errors import UserError
+from kffa_offboard.trials.processes import flown_s, free_port, process
 from sim_vehicle.backends.ardupilot_vehicle import ArdupilotVehicle
 from sim_vehicle.config import load
 
@@ -177,3 +184,44 @@ def arducopter(
             return copter
 
         yield make
+
+
+@contextlib.contextmanager
+def _flying_firmware(
+    autopilot: Any, binary: Path, directory: Path, trial: Trial, start: Any = None
+) -> Iterator[tuple[str, int, Path]]:
+    """Physics and firmware in real time, ready to fly; the daemon's link, the system id and the truth.
+
+    `start` instead of the firmware's own way of being started.
+    """
+    name = firmware.PX4 if autopilot == "px4" else firmware.ARDUCOPTER
+    instance, port, truth = firmware.free_instance(), free_port(), directory / "truth.csv"
+    (directory / "firmware").mkdir()
+    made = (start or name.start)(binary, directory / "firmware", port, instance, trial)
+    backend = {"real_time_factor": 1.0, name.section: {"port": made.physics_port}}
+    physics = tomllib.loads(bundled(name.physics).read_text(encoding="utf-8"))
+    with contextlib.ExitStack() as stack:
+        document = physics_document(merged(physics, {"backend": backend}), trial)
+        start_physics(directory / "flight", truth, document, stack)
+        output = stack.enter_context((directory / "firmware.log").open("w", encoding="utf-8"))
+        stack.enter_context(
+            process(
+                made.command,
+                patience_s=2.0,
+                cwd=directory / "firmware",
+                env={**os.environ, **made.environment},
+                stdout=output,
+                stderr=subprocess.STDOUT,
+            )
+        )
+        limit = time.monotonic() + 200.0
+        while flown_s(truth) < head_start_s(autopilot, trial.conditions):
+            assert time.monotonic() < limit, "the firmware does not boot"
+            time.sleep(0.2)
+        yield f"udpin:127.0.0.1:{port}", name.system_id(instance), truth
+
+
+@pytest.fixture(scope="session")
+def flying_firmware() -> Callable[..., contextlib.AbstractContextManager[tuple[str, int, Path]]]:
+    """Flies a firmware in real time."""
+    return _flying_firmware

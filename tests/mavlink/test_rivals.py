@@ -185,6 +185,26 @@ def test_a_vehicle_that_comes_back_from_another_address_after_silence_is_listene
     assert session.link.locked == elsewhere, "now that one is the stranger"
 
 
+def signing(system, component):
+    """Somebody who signs."""
+    mav = mavlink.MAVLink(None, srcSystem=system, srcComponent=component)
+    mav.signing.secret_key, mav.signing.sign_outgoing, mav.signing.timestamp = SECRET, True, 1
+    return mav
+
+
+def test_a_vehicle_that_signs_is_announced_once_where_we_do_not(session, scripted):
+    """It does not listen to us: no rates, no parameters, and nothing else would say why."""
+    beat = scripted.heartbeat()
+    read(session, beat.pack(signing(255, 190)))
+    read(session, scripted().pack(beat))
+    assert noticed_by(session) == [], "a ground station that signs means nothing for the vehicle"
+    vehicle = signing(1, 1)
+    for _ in range(3):
+        assert len(read(session, beat.pack(vehicle))) == 1, "it is heard all the same"
+    expected = IntrusionNoticed("vehicle signs messages: give [signing] key_file", "said")
+    assert noticed_by(session) == session._recorder.requests == [expected]
+
+
 def test_a_ground_station_at_another_address_is_nothing_to_speak_of(session, scripted):
     ground = scripted(255, 190)
     read(session, ground.pack(scripted.heartbeat()), ("10.0.0.7", 9999), stranger=True)
