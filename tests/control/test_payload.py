@@ -233,3 +233,16 @@ def test_one_vehicle_alone_notices_a_load_that_comes_and_one_that_goes(before, a
             noticed.append((k, float(found.change)))
     ((step, change),) = noticed
     assert 200 < step <= 225 and change == pytest.approx(after - before, abs=0.5)
+
+
+@pytest.mark.parametrize("shape", [(), (3,)])
+@pytest.mark.parametrize(("rate", "total"), [(-1000.0, 5.0 * EMPTY), (1000.0, EMPTY / 3.0)])
+def test_however_wrong_a_climb_rate_is_the_vehicle_weighs_a_third_to_five_times_its_own_mass(
+    shape, rate, total
+):
+    """Mass is divided by the estimate: one that comes near zero, or below it, would be no mass any more."""
+    state = payload.initial_state(np.full(shape, HOVER), np.zeros(shape))
+    for measured in (0.0, rate):
+        measured = np.full(shape, measured)
+        state, found = payload.step(PARAMETERS, state, measured, np.ones(shape), True, DT)
+    assert EMPTY + found.mass == pytest.approx(np.full(shape, total))

@@ -222,6 +222,14 @@ def test_ardupilot_without_message_intervals_is_asked_for_groups_of_messages(ard
         assert message.get_type() == "REQUEST_DATA_STREAM"
 
 
+def test_a_group_of_messages_is_asked_for_in_whole_hz_and_no_slower_than_wanted(ardupilot, autopilot):
+    ardupilot.encode(RequestMessageRates(100.0, 12.5, 20.0, 0.4), 0)
+    refuse(ardupilot, autopilot, mavlink.MAV_RESULT_UNSUPPORTED)
+    asked = {message.req_stream_id: message.req_message_rate for message in ardupilot.requests()}
+    assert asked[mavlink.MAV_DATA_STREAM_POSITION] == 13
+    assert asked[mavlink.MAV_DATA_STREAM_EXTRA2] == 1, "0 would be never"
+
+
 # ---------------------------------------------------------------------- answers
 
 

@@ -5,11 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kffa_offboard.control.observer import ObserverParameters
 from kffa_offboard.offboard import admission, events
+from kffa_offboard.offboard.loop import begin_loop
 from kffa_offboard.offboard.segments import Hold
 from kffa_offboard.offboard.service import State
 from kffa_offboard.offboard.settings import LimitSettings
-from kffa_offboard.offboard.telemetry import Telemetry
+from kffa_offboard.offboard.telemetry import Stream, Telemetry
 
 HOLD = (Hold(100.0),)
 
@@ -270,3 +272,74 @@ def test_whether_the_vehicle_stands_is_told_only_if_it_is_known(fake, share, cli
         on_ground=landed,
     )
     assert admission.grounded(settings, known, 0) is grounded
+
+
+SECOND_US = 1_000_000
+
+
+def samples(count):
+    """A stream with so many samples in the second that ends at `SECOND_US`."""
+    return Stream(arrivals=tuple(SECOND_US - 1000 * k for k in reversed(range(count))))
+
+
+def with_bandwidths(settings, *omega_o):
+    observer = ObserverParameters.from_bandwidth(np.array(omega_o))
+    return replace(settings, controller=replace(settings.controller, observer=observer))
+
+
+@pytest.mark.parametrize(
+    ("attitude", "position", "reason"),
+    [
+        (20, 8, None),
+        (19, 8, "attitude at 19 Hz; omega_o = 50 needs 20"),
+        (20, 7, "position at 7 Hz; omega_o = 20 needs 8"),
+    ],
+)
+@pytest.mark.parametrize("fastest", [(50.0, 30.0, 40.0), (30.0, 50.0, 40.0), (30.0, 40.0, 50.0)])
+def test_height_is_observed_at_the_rate_of_the_position_and_the_rest_at_that_of_the_attitude(
+    fake, attitude, position, reason, fastest
+):
+    """Each observer wants a sample every 2.5 / omega_o."""
+    known = Telemetry(attitude_stream=samples(attitude), position_stream=samples(position))
+    assert admission.slow(with_bandwidths(fake.settings(), *fastest, 20.0), known, SECOND_US) == reason
+
+
+def seen(roll=0.1, pitch=-0.1, altitude=3.0, climb_rate=0.0):
+    return Telemetry(
+        attitude=events.AttitudeReceived(0, (roll, pitch, 0.0), (0.0, 0.0, 0.0)),
+        position=events.PositionReceived(0, (0.0, 0.0, altitude), (0.0, 0.0, climb_rate)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("climbs", "now", "reason"),
+    [
+        (0.0, {"roll": 0.19, "pitch": -0.19, "altitude": 3.29, "climb_rate": -0.99}, None),
+        (0.0, {"roll": 0.21}, "attitude off by 0.11 rad"),
+        (0.0, {"pitch": 0.01}, "attitude off by 0.11 rad"),
+        (0.0, {"altitude": 2.69}, "height off by 0.31 m"),
+        (0.0, {"climb_rate": 1.1}, "climb rate off by 1.1 m/s"),
+        (0.0, {"climb_rate": -1.1}, "climb rate off by 1.1 m/s"),
+        (2.0, {"climb_rate": 2.0}, None),
+        (2.0, {"climb_rate": -2.0}, "climb rate off by 4 m/s"),
+    ],
+)
+def test_estimates_have_settled_when_they_are_what_is_measured(fake, climbs, now, reason):
+    """The observer begins at rest at what is seen first, here with the climb rate that it is told."""
+    loop = begin_loop(fake.settings(), seen(), 0)
+    observer = loop.controller.observer
+    observer = observer._replace(rate=observer.rate + np.array([0.0, 0.0, 0.0, climbs]))
+    loop = loop.with_controller(loop.controller._replace(observer=observer))
+    said = admission.unsettled(seen(**now), loop)
+    assert said == (None if reason is None else f"estimates are settling: {reason}")
+
+
+@pytest.mark.parametrize("slow_channel", [0, 1, 2, 3])
+def test_the_latency_that_an_observer_bears_is_that_of_its_fastest_channel(fake, slow_channel):
+    """1.5 / 30 s beside the delay of 0.01 s that it is told of; omega_c = 6 would bear 0.17 s."""
+    omega_o = np.full(4, 30.0)
+    omega_o[slow_channel] = 10.0
+    settings = with_bandwidths(fake.settings(), *omega_o)
+    for latency_s, reason in ((0.059, None), (0.061, "latency 0.06 s; omega_o = 30 bears 0.06")):
+        link = events.LinkMeasured(0, 0.0)
+        assert admission.late(settings, latency_s, link, admission.LATENCY_TO_ENGAGE) == reason

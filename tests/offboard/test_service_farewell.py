@@ -1,5 +1,7 @@
 """The last setpoint before the daemon falls silent."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -97,3 +99,19 @@ def test_there_is_no_farewell_on_the_ground_nor_to_a_pilot_who_took_over(fake):
     flight.give(flight.vehicle.heartbeat())
     assert flight.service.state is State.READY
     assert all(target.attitude is None for _, target in flight.sent(AttitudeTarget))
+
+
+@pytest.mark.parametrize("granted", [False, True])
+def test_only_a_setpoint_that_the_autopilot_follows_is_told_to_the_observer_in_a_silence(fake, granted):
+    """Before OFFBOARD is granted level setpoints go out, too; what acts is the autopilot's own command."""
+    settings = fake.settings(scenario=(Hold(100.0),))
+    silent = replace(settings.telemetry, timeout_s=2.0, position_timeout_s=2.0)
+    vehicle = fake.airborne(grants_mode=granted)
+    flight = fake.Lockstep(replace(settings, telemetry=silent), vehicle).run_to(State.ENGAGING)
+    flight.run_to(State.ENGAGED if granted else State.ENGAGING).run(0.5)
+    before = flight.service._loop
+    flight.mute = {events.AttitudeReceived}
+    flight.log.clear()
+    flight.run(0.5)
+    assert {target.attitude[:2] for _, target in flight.sent(AttitudeTarget)} == {(0.0, 0.0)}
+    assert (flight.service._loop.controller is before.controller) == (not granted)
