@@ -72,12 +72,31 @@ def position_target(system, component):
     )
 
 
+def global_target(system, component):
+    return mavlink.MAVLink_set_position_target_global_int_message(
+        1, system, component, 6, 2552, 0, 0, 5, 0, 0, 0, 0, 0, 0, 0, 0
+    )
+
+
+def actuator_target(system, component):
+    return mavlink.MAVLink_set_actuator_control_target_message(1, 0, system, component, [0.0] * 8)
+
+
 @pytest.fixture
 def watch(route):
     return RivalWatch(route)
 
 
-@pytest.mark.parametrize("message", [attitude_target(1, 1), attitude_target(1, 0), position_target(0, 0)])
+@pytest.mark.parametrize(
+    "message",
+    [
+        attitude_target(1, 1),
+        attitude_target(1, 0),
+        position_target(0, 0),
+        global_target(1, 1),
+        actuator_target(0, 1),
+    ],
+)
 def test_setpoints_of_somebody_else_for_the_vehicle_are_noticed(watch, scripted, message):
     noticed = watch.watch(NOW_US, scripted(255, 190).over_the_wire(message))
     assert noticed == IntrusionNoticed("255/190 sends setpoints to the vehicle", "ends")
@@ -122,6 +141,36 @@ def test_a_restart_lost_doubled_and_overtaken_samples_are_no_second_vehicle(watc
     restarted = [*steady, *range(0, 5000, 10), *range(0, 5000, 10)]
     for times in (steady, steady[::7], overtaken, doubled, restarted):
         assert boots(RivalWatch(Route()), scripted, times) == []
+
+
+@pytest.mark.parametrize(
+    ("back_ms", "steps", "period_us", "noticed"),
+    [
+        (251, 5, 500_000, True),
+        (250, 5, 500_000, False),  # overtaken on its way
+        (251, 4, 500_000, False),  # an autopilot that is started again, and again
+        (251, 5, 500_001, False),
+    ],
+)
+def test_five_steps_back_of_more_than_a_quarter_of_a_second_within_two_seconds_are_two_clocks(
+    watch, scripted, back_ms, steps, period_us, noticed
+):
+    times = [time_ms for k in range(steps) for time_ms in (100_000 + k, 100_000 + k - back_ms)]
+    vehicle = scripted()
+    found = [
+        watch.watch(NOW_US + k // 2 * period_us, vehicle.over_the_wire(scripted.attitude(time_ms)))
+        for k, time_ms in enumerate(times)
+    ]
+    assert [one is not None for one in found] == [False] * (2 * steps - 1) + [noticed]
+
+
+def test_a_heartbeat_of_another_kind_of_vehicle_under_its_id_is_noticed(watch, scripted):
+    def beat(kind):
+        return mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_PX4, 0, 0, 3, 3)
+
+    vehicle = scripted()
+    assert watch.watch(NOW_US, vehicle.over_the_wire(beat(mavlink.MAV_TYPE_QUADROTOR))) is None
+    assert watch.watch(NOW_US, vehicle.over_the_wire(beat(mavlink.MAV_TYPE_HEXAROTOR))) is not None
 
 
 def test_a_heartbeat_of_another_firmware_under_the_vehicles_id_is_noticed(watch, scripted):
@@ -221,6 +270,18 @@ def test_a_second_daemon_with_our_ids_is_noticed_and_kept_out_of_the_log(session
     assert session._recorder.frames == []
 
 
+def test_two_vehicles_behind_one_address_are_noticed(session, scripted):
+    """By their clocks, and by their kinds."""
+    vehicle = scripted()
+    for k in range(5):
+        for boot_ms in (500_000 + 10 * k, 10 * k):
+            read(session, vehicle.pack(scripted.attitude(boot_ms)))
+    assert noticed_by(session) == [IntrusionNoticed("two vehicles are 1/1, or old telemetry", "ends")]
+    for autopilot in (mavlink.MAV_AUTOPILOT_PX4, mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA):
+        read(session, vehicle.pack(scripted.heartbeat(autopilot)))
+    assert noticed_by(session)[1:] == [IntrusionNoticed("two vehicles are 1/1", "forbids")]
+
+
 def test_an_echo_of_what_we_sent_is_not_taken_for_a_second_daemon(session, scripted):
     ping = scripted(255, 190).pack(mavlink.MAVLink_ping_message(5, 1, 0, 0))
     read(session, ping)
@@ -228,6 +289,18 @@ def test_an_echo_of_what_we_sent_is_not_taken_for_a_second_daemon(session, scrip
     assert read(session, answer) == []
     assert noticed_by(session) == []
     assert session._recorder.frames == [ping, answer]
+
+
+def test_an_echo_is_known_for_256_frames(watch, scripted):
+    """As many as leave in two seconds; what is older is kept no longer."""
+    ours = scripted(245, 191)
+    frames = [ours.over_the_wire(scripted.attitude(boot_ms)) for boot_ms in range(257)]
+    for frame in frames[:256]:
+        watch.note_sent(bytes(frame.get_msgbuf()))
+    assert not any(watch.is_impostor(frame) for frame in frames[:256])
+    assert watch.is_impostor(frames[256])
+    watch.note_sent(bytes(frames[256].get_msgbuf()))
+    assert watch.is_impostor(frames[0]) and not watch.is_impostor(frames[1])
 
 
 def test_a_flood_of_strangers_is_not_kept(session, scripted):
@@ -254,8 +327,9 @@ def test_setup_signing_is_ignored_announced_and_its_key_is_in_no_log(session, sc
 
 
 def test_setup_signing_for_the_vehicle_is_not_ours_to_speak_of_and_not_to_keep_either(session, scripted):
-    frame = scripted(255, 190).pack(mavlink.MAVLink_setup_signing_message(1, 1, list(SECRET), 12345))
-    (message,) = read(session, frame)
+    ground = scripted(255, 190)
+    read(session, ground.pack(mavlink.MAVLink_setup_signing_message(1, 191, list(SECRET), 12345)))
+    (message,) = read(session, ground.pack(mavlink.MAVLink_setup_signing_message(1, 1, list(SECRET), 12345)))
     assert noticed_by(session) == []
-    assert (message.target_system, message.get_srcSystem(), message.get_seq()) == (1, 255, 0)
+    assert (message.target_system, message.get_srcSystem(), message.get_seq()) == (1, 255, 1)
     assert SECRET[:8] not in b"".join(session._recorder.frames)
