@@ -10,7 +10,7 @@ from kffa_offboard.control.design import DesignSettings, design
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import ModeKind
 from kffa_offboard.offboard.segments import Hold, Land, Takeoff
-from kffa_offboard.offboard.service import Service
+from kffa_offboard.offboard.service import Service, State
 from kffa_offboard.offboard.settings import ServiceSettings
 
 HOVER = 98.0 / 246.0
@@ -243,11 +243,32 @@ class Lockstep:
     def texts(self):
         return [output.text for _, output in self.sent(events.Announce)]
 
+    @property
+    def thrusts(self):
+        """Of every setpoint that was sent."""
+        return np.array([target.thrust for _, target in self.sent(events.AttitudeTarget)])
+
 
 def airborne(**changes):
     """A vehicle that hovers at 3 m under its own control."""
     state = {"mode": ModeKind.HOLD, "armed": True, "position": 3.0, "armed_us": -10_000_000}
     return Vehicle(**(state | changes))
+
+
+def fly(vehicle=None, output="rates", seconds=60.0, **changes):
+    """Fly until the service has finished."""
+    flight = Lockstep(service_settings(output, **changes), vehicle)
+    flight.run(seconds, lambda: flight.service.finished is not None)
+    return flight
+
+
+def hovering(**changes):
+    """Engaged at 3 m, in a long hold; what was sent until then is forgotten."""
+    flight = Lockstep(service_settings(scenario=(Hold(100.0),), **changes), airborne())
+    flight.run_to(State.ENGAGED)
+    flight.run(1.0)
+    flight.log.clear()
+    return flight
 
 
 @pytest.fixture(scope="session")
@@ -257,6 +278,8 @@ def fake():
         Vehicle=Vehicle,
         Lockstep=Lockstep,
         airborne=airborne,
+        fly=fly,
+        hovering=hovering,
         settings=service_settings,
         hover=HOVER,
         tick_us=TICK_US,

@@ -11,18 +11,9 @@ from kffa_offboard.offboard.segments import Hold, Land, Takeoff
 from kffa_offboard.offboard.service import Finished, State
 
 
-def hovering(fake, **changes):
-    """A flight engaged at 3 m that holds for as long as nobody interferes."""
-    flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),), **changes), fake.airborne())
-    flight.run_to(State.ENGAGED)
-    flight.run(1.0)
-    flight.log.clear()
-    return flight
-
-
 @pytest.mark.parametrize("output", ["rates", "attitude"])
 def test_the_last_setpoint_of_a_failsafe_in_the_air_is_level_with_the_thrust_that_carried(fake, output):
-    flight = hovering(fake, output=output, failsafe_action="stop")
+    flight = fake.hovering(output=output, failsafe_action="stop")
     flight.vehicle.weight = 1.5  # a load of half its own mass
     flight.run(3.0)
     carried = flight.sent(AttitudeTarget)[-1][1].thrust
@@ -38,7 +29,7 @@ def test_the_last_setpoint_of_a_failsafe_in_the_air_is_level_with_the_thrust_tha
 
 
 def test_the_last_setpoint_keeps_the_heading_that_the_vehicle_has(fake):
-    flight = hovering(fake, output="rates")
+    flight = fake.hovering(output="rates")
     flight.vehicle.attitude = np.array([0.0, 0.0, 0.2])
     flight.run(0.03)
     last, _ = flight.service.last_words()
@@ -63,7 +54,7 @@ def test_the_last_setpoint_to_a_vehicle_that_has_touched_down_does_not_raise_thr
 
 def test_a_program_that_fails_in_the_middle_of_a_step_still_has_last_words(fake, monkeypatch):
     """Whatever comes then may fail again; the last words need none of it."""
-    flight = hovering(fake, output="rates")
+    flight = fake.hovering(output="rates")
     flight.vehicle.attitude = np.array([0.1, 0.0, 0.0])
 
     def broken(*arguments):
@@ -94,7 +85,7 @@ def test_there_is_no_farewell_on_the_ground_nor_to_a_pilot_who_took_over(fake):
     flight.run(0.4)
     assert flight.service.state is State.FAILSAFE
     assert all(target.thrust == 0.0 for _, target in flight.sent(AttitudeTarget))
-    flight = hovering(fake)
+    flight = fake.hovering()
     flight.vehicle.mode = ModeKind.OTHER
     flight.give(flight.vehicle.heartbeat())
     assert flight.service.state is State.READY
@@ -115,3 +106,19 @@ def test_only_a_setpoint_that_the_autopilot_follows_is_told_to_the_observer_in_a
     flight.run(0.5)
     assert {target.attitude[:2] for _, target in flight.sent(AttitudeTarget)} == {(0.0, 0.0)}
     assert (flight.service._loop.controller is before.controller) == (not granted)
+
+
+def test_what_would_be_said_last_is_known_while_in_control_and_only_then(fake):
+    flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),)), fake.airborne())
+    flight.run(0.1)
+    assert flight.service.state is State.WAITING
+    assert not flight.service.has_control and flight.service.last_setpoint() is None
+    flight.run_to(State.ENGAGED)
+    flight.run(1.0)
+    target = flight.service.last_setpoint()
+    assert flight.service.has_control
+    assert target.attitude == (0.0, 0.0, pytest.approx(0.0, abs=1e-3)) and target.body_rates is None
+    assert target.thrust == pytest.approx(fake.hover, abs=0.01)
+    assert flight.service.state is State.ENGAGED
+    assert flight.service.last_words()[0] == target
+    assert not flight.service.has_control and flight.service.last_setpoint() is None

@@ -9,19 +9,10 @@ import pytest
 from kffa_offboard.control import controllers
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, SetArmed, SetMode, Severity
-from kffa_offboard.offboard.segments import Hold, Takeoff
+from kffa_offboard.offboard.segments import Takeoff
 from kffa_offboard.offboard.service import Finished, State
 
 SENT = (AttitudeTarget, SetMode, SetArmed, events.SetGripper)
-
-
-def hovering(fake, **changes):
-    """Engaged in the air at 3 m."""
-    flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),), **changes), fake.airborne())
-    flight.run_to(State.ENGAGED)
-    flight.run(1.0)
-    flight.log.clear()
-    return flight
 
 
 def assert_silent(flight, seconds=3.0):
@@ -43,7 +34,7 @@ def assert_failsafe(flight, reason):
 
 @pytest.mark.parametrize("mode", [ModeKind.OTHER, ModeKind.HOLD, ModeKind.LAND])
 def test_another_mode_ends_sending_within_the_same_call(fake, mode):
-    flight = hovering(fake)
+    flight = fake.hovering()
     flight.vehicle.mode = mode
     flight.give(flight.vehicle.heartbeat())
     assert flight.service.state is State.READY
@@ -55,7 +46,7 @@ def test_another_mode_ends_sending_within_the_same_call(fake, mode):
 @pytest.mark.parametrize("action", ["stop", "hold", "land"])
 def test_a_daemon_that_hung_gives_control_up_in_silence(fake, action):
     """The autopilot's own failsafe flies by then, or a pilot: neither is to be disturbed."""
-    flight = hovering(fake, failsafe_action=action)
+    flight = fake.hovering(failsafe_action=action)
     flight.give(events.HangNoticed(3.04))
     assert flight.texts == ["control given up: the daemon hung for 3.0 s"]
     assert not flight.sent(SENT)
@@ -63,7 +54,7 @@ def test_a_daemon_that_hung_gives_control_up_in_silence(fake, action):
 
 
 def test_a_daemon_that_hung_while_it_asked_for_land_mode_asks_no_more(fake):
-    flight = hovering(fake, failsafe_action="land")
+    flight = fake.hovering(failsafe_action="land")
     flight.vehicle.grants_mode = False
     flight.mute = {events.AttitudeReceived}
     flight.run_to(State.FAILSAFE, 0.3)
@@ -74,14 +65,14 @@ def test_a_daemon_that_hung_while_it_asked_for_land_mode_asks_no_more(fake):
 
 
 def test_another_mode_of_the_same_kind_is_the_pilots_too(fake):
-    flight = hovering(fake)
+    flight = fake.hovering()
     flight.give(replace(flight.vehicle.heartbeat(), custom_mode=20, mode_name="GUIDED_NOGPS"))
     assert flight.texts == ["control given up: mode GUIDED_NOGPS"]
     assert_silent(flight)
 
 
 def test_disarming_in_flight_ends_sending(fake):
-    flight = hovering(fake)
+    flight = fake.hovering()
     flight.vehicle.armed = False
     flight.give(flight.vehicle.heartbeat())
     assert flight.texts == ["control given up: disarmed"]
@@ -89,7 +80,7 @@ def test_disarming_in_flight_ends_sending(fake):
 
 
 def test_after_the_pilot_took_over_only_a_request_engages_again(fake):
-    flight = hovering(fake)
+    flight = fake.hovering()
     flight.vehicle.mode = ModeKind.HOLD
     flight.give(flight.vehicle.heartbeat())
     assert_silent(flight, 5.0)
@@ -138,7 +129,7 @@ def test_disarming_while_engaging_ends_it(fake):
 
 @pytest.mark.parametrize("change", [{"armed": False}, {"mode": ModeKind.OTHER}])
 def test_the_pilot_wins_while_releasing(fake, change):
-    flight = hovering(fake)
+    flight = fake.hovering()
     flight.vehicle.grants_mode = False
     flight.give(events.ReleaseRequested("by hand"))
     for name, value in change.items():
@@ -176,7 +167,7 @@ def test_in_shadow_nothing_is_sent_but_requests_heartbeats_and_lines(fake):
     ],
 )
 def test_silence_is_a_failsafe_at_its_nominal_time(fake, kind, seconds, reason):
-    flight = hovering(fake)
+    flight = fake.hovering()
     flight.run(1.1, lambda: (flight.time_us - flight.start_us) // fake.tick_us % 100 == 1)
     flight.mute = {kind}
     silent_since = flight.time_us
@@ -189,7 +180,7 @@ def test_silence_is_a_failsafe_at_its_nominal_time(fake, kind, seconds, reason):
 
 
 def test_an_event_that_comes_after_the_timeout_finds_the_failsafe_already_there(fake):
-    flight = hovering(fake)
+    flight = fake.hovering()
     now = flight.time_us + 300_000
     outputs = flight.service.handle(now, events.AttitudeReceived(now, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     assert flight.service.state is State.FAILSAFE
@@ -198,7 +189,7 @@ def test_an_event_that_comes_after_the_timeout_finds_the_failsafe_already_there(
 
 
 def test_a_frozen_stream_is_a_failsafe(fake):
-    flight = hovering(fake)
+    flight = fake.hovering()
     frozen = flight.time_us
     flight.change = lambda event: (
         event._replace(sample_time_us=frozen) if isinstance(event, events.AttitudeReceived) else event
@@ -209,7 +200,7 @@ def test_a_frozen_stream_is_a_failsafe(fake):
 
 
 def test_single_repeated_samples_are_tolerated(fake):
-    flight = hovering(fake)
+    flight = fake.hovering()
     flight.change = lambda event: (
         event._replace(sample_time_us=event.sample_time_us - event.sample_time_us % 20_000)
         if isinstance(event, events.AttitudeReceived)
@@ -218,13 +209,6 @@ def test_single_repeated_samples_are_tolerated(fake):
     flight.run(2.0)
     assert flight.service.state is State.ENGAGED
     assert flight.service.counts[0] == pytest.approx(100, abs=2)
-
-
-def corrupt(**changes):
-    def change(event):
-        return event._replace(**changes)
-
-    return change
 
 
 @pytest.mark.parametrize(
@@ -238,7 +222,7 @@ def corrupt(**changes):
     ],
 )
 def test_what_cannot_be_true_is_a_failsafe_within_the_same_call(fake, kind, changes, reason):
-    flight = hovering(fake)
+    flight = fake.hovering()
     flight.change = lambda event: event._replace(**changes) if isinstance(event, kind) else event
     flight.tick()
     assert flight.service.state is State.FAILSAFE
@@ -251,7 +235,7 @@ def test_what_cannot_be_true_is_a_failsafe_within_the_same_call(fake, kind, chan
 
 
 def test_tilt_out_of_limits_is_a_failsafe(fake):
-    flight = hovering(fake)
+    flight = fake.hovering()
     rolling = [0.0]
 
     def roll(event):
@@ -267,7 +251,7 @@ def test_tilt_out_of_limits_is_a_failsafe(fake):
 
 def test_altitude_out_of_limits_is_a_failsafe(fake):
     settings = fake.settings()
-    flight = hovering(fake, limits=replace(settings.limits, altitude_max_m=3.5))
+    flight = fake.hovering(limits=replace(settings.limits, altitude_max_m=3.5))
     flight.vehicle.weight = 0.5
     for climb_rate in (1.0, 2.0, 3.0):  # as fast as a climb rate is believed
         flight.vehicle.velocity = climb_rate
@@ -279,7 +263,7 @@ def test_altitude_out_of_limits_is_a_failsafe(fake):
 
 @pytest.mark.parametrize(("action", "mode"), [("hold", ModeKind.HOLD), ("land", ModeKind.LAND)])
 def test_the_configured_action_asks_for_a_mode_and_sends_no_setpoint(fake, action, mode):
-    flight = hovering(fake, failsafe_action=action)
+    flight = fake.hovering(failsafe_action=action)
     flight.mute = {events.PositionReceived}
     flight.run(0.4)
     assert [sent.mode for _, sent in flight.sent(SetMode)] == [mode]
@@ -289,7 +273,7 @@ def test_the_configured_action_asks_for_a_mode_and_sends_no_setpoint(fake, actio
 
 
 def test_a_failsafe_mode_is_asked_for_again_while_unanswered(fake):
-    flight = hovering(fake, failsafe_action="hold")
+    flight = fake.hovering(failsafe_action="hold")
     flight.vehicle.grants_mode = flight.vehicle.answers = False
     flight.mute = {events.AttitudeReceived}
     flight.run(4.0)
@@ -332,7 +316,7 @@ def test_a_failsafe_before_control_was_granted_leaves_the_pilot_the_vehicle(fake
 
 
 def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeypatch):
-    flight = hovering(fake)
+    flight = fake.hovering()
     honest = controllers.step
 
     def broken(*arguments):
@@ -376,133 +360,3 @@ def test_an_autopilot_that_restarts_is_observed_anew(fake):
     assert flight.service.state is State.WAITING
     flight.run_to(State.READY, 2.0)
     assert flight.service.state is State.READY
-
-
-# ----------------------------------------------------------------------------- deadlines
-
-
-def blind(fake, output="rates", **vehicle):
-    """Turning in the air when telemetry falls silent, which it may for 2 s."""
-    settings = fake.settings(output)
-    silent = replace(settings.telemetry, timeout_s=2.0, position_timeout_s=2.0)
-    flight = hovering(fake, output=output, controller=settings.controller, telemetry=silent)
-    flight.vehicle.attitude[:] = 0.1, -0.05, 0.1
-    flight.run(0.1)  # rates are asked for that take this back
-    flight.mute = {events.AttitudeReceived, events.PositionReceived}
-    flight.log.clear()
-    return flight
-
-
-@pytest.mark.parametrize("output", ["rates", "attitude"])
-def test_a_vehicle_that_cannot_be_seen_is_told_to_be_level(fake, output):
-    flight = blind(fake, output)
-    before = flight.vehicle.attitude.copy()
-    flight.run(1.9)
-    assert flight.service.state is State.ENGAGED
-    assert {(t.body_rates, t.attitude[:2]) for _, t in flight.sent(AttitudeTarget)} == {(None, (0.0, 0.0))}
-    assert np.abs(flight.vehicle.attitude[:2]).max() < 0.01
-    assert abs(flight.vehicle.attitude[2] - before[2]) < 0.1  # no turning on
-    assert abs(flight.vehicle.velocity) < 0.3
-
-
-@pytest.mark.parametrize(("output", "tilt"), [("rates", 0.015), ("attitude", 0.03)])
-def test_control_goes_on_from_there_when_telemetry_is_back(fake, output, tilt):
-    """The observer knows that what it had asked for did not act all that time; else it is 0.032 and 0.031."""
-    flight = blind(fake, output)
-    flight.run(0.7)
-    flight.mute = set()
-    seen = []
-    for _ in range(100):
-        flight.run(0.01)
-        seen.append(np.abs(flight.vehicle.attitude[:2]).max())
-    assert max(seen) < tilt
-    assert flight.service.state is State.ENGAGED
-
-
-def test_on_the_ground_the_last_setpoint_is_repeated(fake):
-    settings = fake.settings()
-    silent = replace(settings.telemetry, timeout_s=2.0)
-    flight = fake.Lockstep(fake.settings(telemetry=silent))
-    flight.run_to(State.ENGAGING)
-    flight.run(0.3)
-    flight.mute = {events.AttitudeReceived}
-    last = flight.sent(AttitudeTarget)[-1][1]
-    flight.log.clear()
-    flight.run(0.7)
-    sent = flight.sent(AttitudeTarget)
-    assert len(sent) == 3 and {target for _, target in sent} == {last}
-    assert last.thrust == 0.0
-
-
-def test_something_is_heard_at_5_hz_while_telemetry_is_silent(fake):
-    settings = fake.settings()
-    slow = replace(settings.telemetry, timeout_s=0.8)
-    flight = hovering(fake, telemetry=slow)
-    last_us = flight.time_us
-    flight.mute = {events.AttitudeReceived}
-    flight.run(0.7)
-    sent = flight.sent(AttitudeTarget)
-    assert [(time - last_us) * 1e-6 for time, _ in sent] == pytest.approx([0.2, 0.4, 0.6])
-    assert len({target for _, target in sent}) == 1
-    flight.run(2.0)
-    assert flight.service.state is State.FAILSAFE
-    assert (flight.sent(AttitudeTarget)[-1][0] - last_us) * 1e-6 == pytest.approx(0.8)  # the farewell
-
-
-def test_the_own_heartbeat_goes_out_once_a_second_from_the_first_call_on(fake):
-    flight = fake.Lockstep(fake.settings())
-    flight.run(5.5)
-    beats = [((time - flight.start_us) * 1e-6, beat.state) for time, beat in flight.sent(events.OwnHeartbeat)]
-    assert [time for time, _ in beats] == pytest.approx([0.01, 1.01, 2.01, 3.01, 4.01, 5.01])
-    assert [state for _, state in beats] == ["standby", "standby", "active", "active", "active", "active"]
-
-
-def test_one_late_call_runs_every_deadline_in_order_at_its_own_time(fake):
-    """Called once after 3.2 s or at every deadline: the outputs are the same."""
-    late, punctual = hovering(fake, failsafe_action="hold"), hovering(fake, failsafe_action="hold")
-    end = late.time_us + 3_200_000
-    at_once = late.service.advance(end)
-    one_by_one = []
-    while (due := punctual.service.next_deadline()) <= end:
-        one_by_one += punctual.service.advance(due)
-    assert at_once == one_by_one + punctual.service.advance(end)
-    kinds = [type(output).__name__ for output in at_once]
-    assert kinds.index("AttitudeTarget") < kinds.index("Announce") < kinds.index("SetMode")
-    assert late.service.next_deadline() == punctual.service.next_deadline() > end
-
-
-def test_time_that_goes_back_is_refused(fake):
-    flight = hovering(fake)
-    with pytest.raises(ValueError, match="keep them in order"):
-        flight.service.advance(flight.time_us - 1)
-
-
-def test_a_heartbeat_that_was_lost_and_came_back_is_greeted_with_a_request(fake):
-    flight = fake.Lockstep(fake.settings(engage=False)).run_to(State.READY)
-    flight.mute = {events.HeartbeatReceived}
-    flight.run(4.0)
-    assert flight.service.state is State.WAITING
-    flight.log.clear()
-    flight.mute = set()
-    flight.run(1.1)
-    assert len(flight.sent(events.RequestMessageRates)) == 1
-    flight.run_to(State.READY, 2.0)
-
-
-# ---------------------------------------------------------------------------- last words
-
-
-def test_what_would_be_said_last_is_known_while_in_control_and_only_then(fake):
-    flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),)), fake.airborne())
-    flight.run(0.1)
-    assert flight.service.state is State.WAITING
-    assert not flight.service.has_control and flight.service.last_setpoint() is None
-    flight.run_to(State.ENGAGED)
-    flight.run(1.0)
-    target = flight.service.last_setpoint()
-    assert flight.service.has_control
-    assert target.attitude == (0.0, 0.0, pytest.approx(0.0, abs=1e-3)) and target.body_rates is None
-    assert target.thrust == pytest.approx(fake.hover, abs=0.01)
-    assert flight.service.state is State.ENGAGED
-    assert flight.service.last_words()[0] == target
-    assert not flight.service.has_control and flight.service.last_setpoint() is None

@@ -1,0 +1,118 @@
+"""Setpoints while telemetry is silent, and what falls due in which order."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from kffa_offboard.offboard import events
+from kffa_offboard.offboard.events import AttitudeTarget
+from kffa_offboard.offboard.service import State
+
+
+def blind(fake, output="rates", **vehicle):
+    """Turning in the air when telemetry falls silent, which it may for 2 s."""
+    settings = fake.settings(output)
+    silent = replace(settings.telemetry, timeout_s=2.0, position_timeout_s=2.0)
+    flight = fake.hovering(output=output, controller=settings.controller, telemetry=silent)
+    flight.vehicle.attitude[:] = 0.1, -0.05, 0.1
+    flight.run(0.1)  # rates are asked for that take this back
+    flight.mute = {events.AttitudeReceived, events.PositionReceived}
+    flight.log.clear()
+    return flight
+
+
+@pytest.mark.parametrize("output", ["rates", "attitude"])
+def test_a_vehicle_that_cannot_be_seen_is_told_to_be_level(fake, output):
+    flight = blind(fake, output)
+    before = flight.vehicle.attitude.copy()
+    flight.run(1.9)
+    assert flight.service.state is State.ENGAGED
+    assert {(t.body_rates, t.attitude[:2]) for _, t in flight.sent(AttitudeTarget)} == {(None, (0.0, 0.0))}
+    assert np.abs(flight.vehicle.attitude[:2]).max() < 0.01
+    assert abs(flight.vehicle.attitude[2] - before[2]) < 0.1  # no turning on
+    assert abs(flight.vehicle.velocity) < 0.3
+
+
+@pytest.mark.parametrize(("output", "tilt"), [("rates", 0.015), ("attitude", 0.03)])
+def test_control_goes_on_from_there_when_telemetry_is_back(fake, output, tilt):
+    """The observer knows that what it had asked for did not act all that time; else it is 0.032 and 0.031."""
+    flight = blind(fake, output)
+    flight.run(0.7)
+    flight.mute = set()
+    seen = []
+    for _ in range(100):
+        flight.run(0.01)
+        seen.append(np.abs(flight.vehicle.attitude[:2]).max())
+    assert max(seen) < tilt
+    assert flight.service.state is State.ENGAGED
+
+
+def test_on_the_ground_the_last_setpoint_is_repeated(fake):
+    settings = fake.settings()
+    silent = replace(settings.telemetry, timeout_s=2.0)
+    flight = fake.Lockstep(fake.settings(telemetry=silent))
+    flight.run_to(State.ENGAGING)
+    flight.run(0.3)
+    flight.mute = {events.AttitudeReceived}
+    last = flight.sent(AttitudeTarget)[-1][1]
+    flight.log.clear()
+    flight.run(0.7)
+    sent = flight.sent(AttitudeTarget)
+    assert len(sent) == 3 and {target for _, target in sent} == {last}
+    assert last.thrust == 0.0
+
+
+def test_something_is_heard_at_5_hz_while_telemetry_is_silent(fake):
+    settings = fake.settings()
+    slow = replace(settings.telemetry, timeout_s=0.8)
+    flight = fake.hovering(telemetry=slow)
+    last_us = flight.time_us
+    flight.mute = {events.AttitudeReceived}
+    flight.run(0.7)
+    sent = flight.sent(AttitudeTarget)
+    assert [(time - last_us) * 1e-6 for time, _ in sent] == pytest.approx([0.2, 0.4, 0.6])
+    assert len({target for _, target in sent}) == 1
+    flight.run(2.0)
+    assert flight.service.state is State.FAILSAFE
+    assert (flight.sent(AttitudeTarget)[-1][0] - last_us) * 1e-6 == pytest.approx(0.8)  # the farewell
+
+
+def test_the_own_heartbeat_goes_out_once_a_second_from_the_first_call_on(fake):
+    flight = fake.Lockstep(fake.settings())
+    flight.run(5.5)
+    beats = [((time - flight.start_us) * 1e-6, beat.state) for time, beat in flight.sent(events.OwnHeartbeat)]
+    assert [time for time, _ in beats] == pytest.approx([0.01, 1.01, 2.01, 3.01, 4.01, 5.01])
+    assert [state for _, state in beats] == ["standby", "standby", "active", "active", "active", "active"]
+
+
+def test_one_late_call_runs_every_deadline_in_order_at_its_own_time(fake):
+    """Called once after 3.2 s or at every deadline: the outputs are the same."""
+    late, punctual = fake.hovering(failsafe_action="hold"), fake.hovering(failsafe_action="hold")
+    end = late.time_us + 3_200_000
+    at_once = late.service.advance(end)
+    one_by_one = []
+    while (due := punctual.service.next_deadline()) <= end:
+        one_by_one += punctual.service.advance(due)
+    assert at_once == one_by_one + punctual.service.advance(end)
+    kinds = [type(output).__name__ for output in at_once]
+    assert kinds.index("AttitudeTarget") < kinds.index("Announce") < kinds.index("SetMode")
+    assert late.service.next_deadline() == punctual.service.next_deadline() > end
+
+
+def test_time_that_goes_back_is_refused(fake):
+    flight = fake.hovering()
+    with pytest.raises(ValueError, match="keep them in order"):
+        flight.service.advance(flight.time_us - 1)
+
+
+def test_a_heartbeat_that_was_lost_and_came_back_is_greeted_with_a_request(fake):
+    flight = fake.Lockstep(fake.settings(engage=False)).run_to(State.READY)
+    flight.mute = {events.HeartbeatReceived}
+    flight.run(4.0)
+    assert flight.service.state is State.WAITING
+    flight.log.clear()
+    flight.mute = set()
+    flight.run(1.1)
+    assert len(flight.sent(events.RequestMessageRates)) == 1
+    flight.run_to(State.READY, 2.0)
