@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from kffa_offboard.control.design import DesignSettings, design
+from kffa_offboard.offboard import events
+from kffa_offboard.offboard.service import State
 from kffa_offboard.offboard.steps import too_far
 
 ONES = np.ones(4)
@@ -149,3 +151,95 @@ def test_a_gain_that_was_zero_may_become_a_fifth(fake):
     )
     assert refused(fake, "pid", before, little) is None and refused(fake, "pid", little, before) is None
     assert refused(fake, "pid", before, more) == "roll: PID i from 0 to 0.21; go in steps of 8 times at most"
+
+
+# ---------------------------------------------------------------------- another plant in flight
+
+
+def with_plant(settings, times=1.0, damping=1.0, delay_s=0.0):
+    """The same with b0 and damping of roll so many times as large, and more delay."""
+    parameters = settings.controller
+    roll = np.array([1.0, 0.0, 0.0, 0.0])
+    b0, damped = (
+        value * (1.0 + (factor - 1.0) * roll)
+        for value, factor in zip(
+            (parameters.model.b0, parameters.model.damping), (times, damping), strict=True
+        )
+    )
+    model = replace(parameters.model, b0=b0, damping=damped)
+    acting = replace(parameters.actuator, delay=parameters.actuator.delay + delay_s * roll)
+    return replace(settings, controller=replace(parameters, model=model, actuator=acting))
+
+
+def plant(settings):
+    model, actuator = settings.controller.model, settings.controller.actuator
+    return model.b0, model.damping, actuator.delay
+
+
+def asked(fake, output="rates", **changes):
+    """What an engaged service says of such a change, and whether it flies with it."""
+    flight = fake.Lockstep(fake.settings(output), fake.airborne()).run_to(State.ENGAGED)
+    wanted = with_plant(fake.settings(output), **changes)
+    flight.give(events.SettingsChanged(wanted))
+    said = [refused.reason for _, refused in flight.sent(events.RequestRefused)]
+    return said, all(map(np.array_equal, plant(flight.service.settings), plant(wanted)))
+
+
+@pytest.mark.parametrize(
+    ("output", "changes"),
+    [
+        ("rates", {"times": 1.5}),
+        ("rates", {"times": 1 / 1.5}),
+        ("attitude", {"times": 2.25, "damping": 1.5}),
+        ("rates", {"delay_s": 0.02}),
+    ],
+)
+def test_a_plant_that_is_a_step_away_is_flown(fake, output, changes):
+    assert asked(fake, output, **changes) == ([], True)
+
+
+@pytest.mark.parametrize(
+    ("output", "changes", "reason"),
+    [
+        ("rates", {"times": 1.6}, "roll: b0 from 12 to 19.2; go in steps of 1.5 times at most"),
+        ("rates", {"times": 0.6}, "roll: b0 from 12 to 7.2; go in steps of 1.5 times at most"),
+        ("attitude", {"times": 2.5}, "roll: b0 from 64 to 160; go in steps of 1.5 times at most"),
+        ("rates", {"damping": 2.5}, "roll: damping from 12 to 30; go in steps of 1.5 times at most"),
+        ("rates", {"delay_s": 0.03}, "roll: delay from 0.01 to 0.04; go in steps of 1.5 times at most"),
+    ],
+)
+def test_a_plant_that_is_farther_away_is_refused_in_flight(fake, output, changes, reason):
+    assert asked(fake, output, **changes) == ([reason], False)
+
+
+@pytest.mark.parametrize(
+    ("output", "omega_c", "said"),
+    [
+        ("attitude", 2.4, ["roll: omega_c from 6 to 2.4; go in steps of 2 times at most"]),
+        ("attitude", 12.5, ["roll: omega_c from 6 to 12.5; go in steps of 2 times at most"]),
+        ("attitude", 3.1, []),
+        ("rates", 2.4, []),
+    ],
+)
+def test_beside_the_autopilots_own_hold_a_bandwidth_goes_in_steps(fake, output, omega_c, said):
+    """A quarter, or 2.7 times as much, swung the vehicle by 0.4 rad if the natural frequency was off, too."""
+    flight = fake.Lockstep(fake.settings(output), fake.airborne()).run_to(State.ENGAGED)
+    controller = flight.service.settings.controller
+    law = replace(controller.law, omega_c=np.array([omega_c, *controller.law.omega_c[1:]]))
+    changed = replace(flight.service.settings, controller=replace(controller, law=law))
+    flight.give(events.SettingsChanged(changed))
+    assert [refused.reason for _, refused in flight.sent(events.RequestRefused)] == said
+
+
+def test_back_to_what_the_run_began_with_it_goes_at_once(fake):
+    flight = fake.Lockstep(fake.settings(), fake.airborne()).run_to(State.ENGAGED)
+    for times in (1.4, 1.9, 2.6, 1.0):
+        flight.give(events.SettingsChanged(with_plant(fake.settings(), times)))
+        flight.run(0.1)
+    assert not flight.sent(events.RequestRefused)
+
+
+def test_before_flight_any_plant_may_be_set(fake):
+    flight = fake.Lockstep(fake.settings(engage=False), fake.airborne()).run_to(State.READY)
+    flight.give(events.SettingsChanged(with_plant(fake.settings(engage=False), 3.0)))
+    assert not flight.sent(events.RequestRefused)
