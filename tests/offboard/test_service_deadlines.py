@@ -48,6 +48,22 @@ def test_control_goes_on_from_there_when_telemetry_is_back(fake, output, tilt):
     assert flight.service.state is State.ENGAGED
 
 
+@pytest.mark.parametrize("output", ["rates", "attitude"])
+def test_the_command_before_the_silence_acts_until_the_level_setpoint_goes_out(fake, output):
+    """That is 0.2 s after the last sample; and of its thrust what the tilt leaves is vertical."""
+    flight = blind(fake, output)
+    last_us = flight.service._loop.sent_us
+    flight.run(0.25)
+    ((time_us, level),) = flight.sent(AttitudeTarget)
+    loop = flight.service._loop
+    assert loop.controller.actuator.ages[-1] == pytest.approx(-(time_us - last_us) * 1e-6)
+    roll, pitch, _ = flight.service._known.attitude.attitude
+    assert loop.controller.actuator.commands[-1][3] == pytest.approx(
+        level.thrust * np.cos(roll) * np.cos(pitch)
+    )
+    assert loop.vertical_thrust == loop.controller.actuator.commands[-1][3]
+
+
 def test_on_the_ground_the_last_setpoint_is_repeated(fake):
     settings = fake.settings()
     silent = replace(settings.telemetry, timeout_s=2.0)

@@ -9,6 +9,7 @@ from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind
 from kffa_offboard.offboard.segments import Hold, Land, Takeoff
 from kffa_offboard.offboard.service import Finished, State
+from kffa_offboard.offboard.settings import FlightSettings
 
 
 @pytest.mark.parametrize("output", ["rates", "attitude"])
@@ -77,6 +78,18 @@ def test_a_program_that_ends_without_control_has_no_last_words(fake):
     flight = fake.Lockstep(fake.settings(engage=False), fake.airborne()).run_to(State.READY)
     assert flight.service.last_words() == []
     assert flight.service.state is State.READY
+
+
+def test_the_last_setpoint_at_the_end_of_a_landing_is_not_raised_to_the_least_thrust_of_flight(fake):
+    """Thrust goes to zero in a ramp once the vehicle stands."""
+    flight = fake.Lockstep(fake.settings(flight=FlightSettings(touchdown_ramp_s=2.0))).run_to(State.ENGAGED)
+    flight.run(20.0, lambda: flight.vehicle.position > 1.0)
+    flight.run(20.0, lambda: flight.vehicle.grounded)
+    least = flight.service.settings.limits.thrust_min
+    assert flight.run(3.0, lambda: flight.thrusts[-1] < 0.8 * least)
+    before = flight.thrusts[-1]
+    last, _ = flight.service.last_words()
+    assert 0.0 < last.thrust <= before < least
 
 
 def test_there_is_no_farewell_on_the_ground_nor_to_a_pilot_who_took_over(fake):
