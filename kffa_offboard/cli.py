@@ -207,12 +207,16 @@ def check(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Configurations to check.")],
 ) -> None:
     """Check configurations without opening or flying anything; every problem is a line of its own."""
+    from kffa_offboard.cli_vehicle import slow_line
     from kffa_offboard.config import ConfigError, load
 
     problems: list[str] = []
     for file in files:
         try:
-            typer.echo(f"{file}: ok: {_summary(load(file))}")
+            config = load(file)
+            typer.echo(f"{file}: ok: {_summary(config)}")
+            if (slow := slow_line(config)) is not None:
+                typer.echo(f"{file}: warning: {slow}")
         except ConfigError as error:
             problems += str(error).splitlines()
     if problems:

@@ -17,6 +17,7 @@ from kffa_offboard.flightlog.writer import LogExists, TlogWriter
 from kffa_offboard.mavlink.address import NetworkAddress, parse_url
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.last_words import FramedLastWords
+from kffa_offboard.mavlink.line_rate import too_slow
 from kffa_offboard.mavlink.link import open_link
 from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.mavlink.session import Observer, Session
@@ -245,9 +246,17 @@ def _say_begin(console: StatusConsole, config: DaemonConfig, link: Link, name: s
     """Where the vehicle is expected, and which parameters are not the configuration's own."""
     prefix = f"{name}: " if name else ""
     console.tell(f"{prefix}waiting for a vehicle on {link.name}")
+    if (slow := slow_line(config)) is not None:
+        console.tell(f"{prefix}warning: {slow}")
     changed = ", ".join(f"{key} = {value:g}" for key, value in config.tuning.changes.items())
     if changed and config.tuning.store is not None:
         console.tell(f"{prefix}parameters of {config.tuning.store.path}: {changed}")
+
+
+def slow_line(config: DaemonConfig) -> str | None:
+    """Why the serial line, if it is one, is too slow for the flight."""
+    signed = config.link.signing is not None
+    return too_slow(parse_url(config.link.url), config.service.telemetry, config.signals_hz, signed=signed)
 
 
 def _log_path(config: DaemonConfig, options: RunOptions, name: str) -> Path | None:

@@ -128,7 +128,7 @@ def late(
         ("omega_o", float(omega_o[channel]), float(told[channel])),
     ):
         if latency_s > limit:
-            return f"latency {latency_s:.2f} s; {name} = {bandwidth:g} bears {limit:.2f}"
+            return f"latency {1e3 * latency_s:.0f} ms; {name} = {bandwidth:g} bears {1e3 * limit:.0f}"
     return None
 
 
