@@ -16,12 +16,18 @@ from typing import Any, NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20.development import MAVLink_current_mode_message
 
 _MARKER = 0xFD
 _HEAD = struct.Struct("<BBBBBBBHB")  # marker, length, two flags, sequence, system, component, message id
 _CHECKSUM = struct.Struct("<H")
 OVERHEAD = _HEAD.size + _CHECKSUM.size
 """Bytes of a frame beside its payload, whose length is the second byte."""
+CURRENT_MODE: int = MAVLink_current_mode_message.id
+"""PX4 sends it, and ArduPilot's dialect lacks it. From here on pymavlink's own parser knows it, too."""
+
+mavlink.mavlink_map.setdefault(CURRENT_MODE, MAVLink_current_mode_message)
+
 _PYMAVLINK = mavlink.MAVLink(None)
 
 

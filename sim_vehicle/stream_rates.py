@@ -10,6 +10,7 @@ import math
 from collections.abc import Mapping
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20.development import MAVLink_current_mode_message
 
 PX4_CYCLE_US = 4_000
 """Attitude samples of PX4 come at 250 Hz; asked for each of them, it sends a few less."""
@@ -41,8 +42,9 @@ PX4_DEFAULT_HZ: Mapping[int, float] = {
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: 1.0,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: 0.5,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: 5.0,
+    MAVLink_current_mode_message.id: 0.5,
 }
-"""PX4's offboard link."""
+"""PX4's offboard link. CURRENT_MODE of the real one also waits for something new, 0.5 s at most."""
 
 ARDUPILOT_DEFAULT_HZ: Mapping[int, float] = {
     mavlink.MAVLINK_MSG_ID_HEARTBEAT: 1.0,

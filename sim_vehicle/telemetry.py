@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20.development import MAVLink_current_mode_message
 
 from sim_vehicle import frames
 from sim_vehicle.firmware import Firmware
@@ -28,6 +29,7 @@ CELL_UNKNOWN = 65535
 INT16_MAX = 32767
 INT32_MAX = 2**31 - 1
 STATUSTEXT_BYTES = 50
+CURRENT_MODE: int = MAVLink_current_mode_message.id
 
 Message: TypeAlias = Any  # pymavlink has no types
 
@@ -97,6 +99,12 @@ def _heartbeat(s: Sample) -> Message:
         status,
         3,
     )
+
+
+def _current_mode(s: Sample) -> Message:
+    """PX4 also says here what was asked for last, and the mode's standard number (0: it has none)."""
+    firmware = s.firmware
+    return MAVLink_current_mode_message(0, firmware.custom_mode, int(getattr(firmware, "intended", 0)))
 
 
 def _attitude(s: Sample) -> Message:
@@ -374,10 +382,11 @@ BUILDERS: Mapping[int, Builder] = {
     mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS: _estimator,
     mavlink.MAVLINK_MSG_ID_HOME_POSITION: _home,
     mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: _extended_state,
+    CURRENT_MODE: _current_mode,
 }
 """What can be asked for, by message id. A builder returns None while there is nothing to say."""
 
-PX4_ONLY = frozenset({ProtocolVersion.id})
+PX4_ONLY = frozenset({ProtocolVersion.id, CURRENT_MODE})
 """Messages that ArduPilot does not have."""
 
 NEED_POSITION = frozenset(

@@ -53,10 +53,14 @@ class Autopilot(ABC):
     """Translation for one firmware.
 
     It remembers what only the wire needs: the last mode and what was asked for last.
+
+    Attributes
+    ----------
+    mode_message : number of the message by which a change of mode is known soonest
     """
 
     firmware: ClassVar[Firmware]
-    keeps_heartbeat_rate: ClassVar[bool] = False
+    mode_message: ClassVar[int] = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 
     def __init__(self, route: Route, telemetry: TelemetryDecoder, guided_mode: GuidedMode = "guided") -> None:
         self._route = route
@@ -163,10 +167,8 @@ class Autopilot(ABC):
             mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: request.target_hz,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: request.status_hz,
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: request.status_hz,
-            mavlink.MAVLINK_MSG_ID_HEARTBEAT: request.heartbeat_hz,
+            self.mode_message: request.heartbeat_hz,
         }
-        if self.keeps_heartbeat_rate:
-            del rates[mavlink.MAVLINK_MSG_ID_HEARTBEAT]
         for rate in rates.values():
             if not (math.isfinite(rate) and 0.0 < rate <= HIGHEST_RATE_HZ):
                 raise EncodingError(f"message rate {rate:g} Hz is outside 0..{HIGHEST_RATE_HZ:g}; not sent")

@@ -6,12 +6,16 @@ modules/commander/px4_custom_mode.h.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+from kffa_offboard.frame_codec import CURRENT_MODE
 from kffa_offboard.mavlink.autopilot import Autopilot, GuidedMode
 from kffa_offboard.mavlink.commands import EncodingError
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.mavlink.telemetry import TelemetryDecoder
 from kffa_offboard.offboard.events import (
     AttitudeTarget,
+    Event,
     HeartbeatReceived,
     ModeKind,
     Output,
@@ -66,12 +70,13 @@ class Px4(Autopilot):
     """PX4's side of the interface."""
 
     firmware = "px4"
-    keeps_heartbeat_rate = True  # SET_MESSAGE_INTERVAL for HEARTBEAT fails in every mode of the link
+    mode_message = CURRENT_MODE  # SET_MESSAGE_INTERVAL for HEARTBEAT fails in every mode of the link
 
     def __init__(self, route: Route, telemetry: TelemetryDecoder, guided_mode: GuidedMode = "guided") -> None:
         super().__init__(route, telemetry, guided_mode)
         self._sends_attitude = False
         self._heartbeats_until_known = 0
+        self._last: HeartbeatReceived | None = None
 
     def mode_of(self, custom_mode: int) -> tuple[ModeKind, str]:
         """See `Autopilot`."""
@@ -93,9 +98,21 @@ class Px4(Autopilot):
         """See `Autopilot`. Taken as asked; 50 and 100 Hz are kept exactly, 200 Hz gives 125."""
         return round(1e6 / rate_hz)
 
+    def decode(self, message: Message) -> list[Event]:
+        """See `Autopilot`. CURRENT_MODE tells of a change of mode before the next HEARTBEAT does."""
+        if message.get_type() != "CURRENT_MODE":
+            return super().decode(message)
+        if self._last is None or message.custom_mode == self._custom_mode:
+            return []
+        self._custom_mode = message.custom_mode
+        kind, name = self.mode_of(message.custom_mode)
+        self._last = replace(self._last, mode=kind, mode_name=name, custom_mode=message.custom_mode)
+        return [self._last]
+
     def _heartbeat(self, message: Message) -> HeartbeatReceived:
         self._heartbeats_until_known = max(self._heartbeats_until_known - 1, 0)
-        return super()._heartbeat(message)
+        self._last = super()._heartbeat(message)
+        return self._last
 
     def encode(self, output: Output, time_us: int) -> list[Message]:
         """See `Autopilot`."""

@@ -63,7 +63,7 @@ def test_how_far_a_killed_daemon_lets_the_vehicle_rise_is_the_noise_of_its_last_
 
 @pytest.mark.parametrize(
     ("personality", "at_s", "tilt_max", "rise"),
-    [("px4", 4.25, 0.85, 0.1), ("px4", 4.5, 0.7, 1.5), ("ardupilot", 4.75, 0.45, 0.6)],
+    [("px4", 4.25, 0.85, 0.1), ("px4", 3.9, 0.7, 1.5), ("ardupilot", 4.75, 0.45, 0.6)],
 )
 def test_a_daemon_killed_in_a_swing_leaves_a_vehicle_that_the_autopilot_levels(
     fault_flight, personality, at_s, tilt_max, rise

@@ -35,7 +35,9 @@ def stepping(fault_flight, personality, height_m, seconds, loaded_kg):
     """Up and down, on a link that may be silent for two seconds; 0.1 s before the vehicle turns at 3.0 s."""
     steps = (Step("altitude", height_m, seconds), Step("altitude", -height_m, seconds)) * 5
     flight = fault_flight(personality, settle_s=0.2, scenario=steps).prepare()
-    silent = replace(flight.settings.telemetry, timeout_s=2.0, position_timeout_s=2.0)
+    silent = replace(
+        flight.settings.telemetry, timeout_s=2.0, position_timeout_s=2.0, heartbeat_timeout_s=5.0
+    )
     flight.settings = flight.service.settings = replace(flight.settings, telemetry=silent)
     if loaded_kg > 0.0:
         flight.vehicle.set_load(loaded_kg)
@@ -70,7 +72,7 @@ def test_silences_in_a_row_do_not_swing_the_height(fault_flight, loaded_kg):
     """After each the filter took noise for a load: thrust from end to end, until control was given up."""
     flight = stepping(fault_flight, "px4", 0.0, 100.0, loaded_kg)
     quiet = flight.fly_on(3.0).heights
-    silences = [Lose(start_s=0.2 + 0.45 * k, duration_s=0.3) for k in range(5)]
+    silences = [Lose(start_s=0.4 + 0.45 * k, duration_s=0.3) for k in range(5)]
     gone = flight.fly_on(3.0, down=silences)
     assert gone.released_s is None, gone.texts
     assert max(abs(one - other) for one, other in zip(gone.heights, quiet, strict=True)) < 0.3

@@ -2,7 +2,9 @@
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20.development import MAVLink_current_mode_message
 
+from kffa_offboard.frame_codec import CURRENT_MODE
 from kffa_offboard.mavlink.ardupilot import ArduPilot
 from kffa_offboard.mavlink.autopilot import result_name
 from kffa_offboard.mavlink.commands import EncodingError
@@ -101,6 +103,24 @@ def test_a_heartbeat_tells_mode_and_arming(px4, autopilot):
     ]
 
 
+def test_px4_tells_of_a_mode_before_its_next_heartbeat(px4, autopilot):
+    """HEARTBEAT comes once a second, CURRENT_MODE as often as is asked for."""
+    hold = autopilot.over_the_wire(MAVLink_current_mode_message(0, PX4_HOLD, PX4_HOLD))
+    assert px4.decode(hold) == [], "whether it is armed is not known yet"
+    offboard = autopilot.heartbeat(custom_mode=PX4_OFFBOARD, armed=True)
+    px4.decode(autopilot.over_the_wire(offboard))
+    expected = HeartbeatReceived("px4", ModeKind.HOLD, "AUTO.LOITER", PX4_HOLD, True)
+    assert px4.decode(hold) == [expected]
+    assert px4.decode(hold) == [], "nothing new"
+    again = autopilot.over_the_wire(MAVLink_current_mode_message(0, PX4_OFFBOARD, PX4_OFFBOARD))
+    assert [event.mode for event in px4.decode(again)] == [ModeKind.OFFBOARD]
+
+
+def test_arducopter_s_modes_come_with_heartbeats_alone(ardupilot, autopilot):
+    ardupilot.decode(autopilot.over_the_wire(autopilot.heartbeat(custom_mode=4, armed=True)))
+    assert ardupilot.decode(autopilot.over_the_wire(MAVLink_current_mode_message(0, 5, 5))) == []
+
+
 # ------------------------------------------------------------------------ rates
 
 
@@ -118,9 +138,9 @@ def test_everything_that_the_service_needs_is_asked_for(px4, ardupilot):
         mavlink.MAVLINK_MSG_ID_VFR_HUD,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
     }
-    for firmware in (px4, ardupilot):
+    for firmware, mode in ((px4, CURRENT_MODE), (ardupilot, mavlink.MAVLINK_MSG_ID_HEARTBEAT)):
         asked = intervals(firmware, 100.0)
-        assert asked.keys() - {mavlink.MAVLINK_MSG_ID_HEARTBEAT} == needed
+        assert asked.keys() == needed | {mode}
         assert asked[mavlink.MAVLINK_MSG_ID_ATTITUDE] == 10_000
         assert asked[mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE] == 500_000
 
@@ -149,9 +169,11 @@ def test_an_impossible_rate_is_refused(px4, hz):
         px4.encode(RequestMessageRates(hz, 50.0, 50.0, 2.0), 0)
 
 
-def test_the_heartbeat_is_asked_for_five_times_a_second_where_that_is_allowed(px4, ardupilot):
+def test_the_mode_is_asked_for_five_times_a_second_px4_has_a_message_of_its_own(px4, ardupilot):
     assert intervals(ardupilot, 100.0)[mavlink.MAVLINK_MSG_ID_HEARTBEAT] == 200_000
-    assert mavlink.MAVLINK_MSG_ID_HEARTBEAT not in intervals(px4, 100.0)  # PX4 answers FAILED to that
+    asked = intervals(px4, 100.0)
+    assert asked[CURRENT_MODE] == 200_000
+    assert mavlink.MAVLINK_MSG_ID_HEARTBEAT not in asked  # PX4 answers FAILED to that
 
 
 # ------------------------------------------------------------- rates that are refused

@@ -7,8 +7,11 @@ from itertools import groupby
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
+from pymavlink.dialects.v20 import development
+from pymavlink.dialects.v20.development import MAVLink_current_mode_message
 
 from sim_vehicle.firmware import Severity
+from sim_vehicle.flight_modes import Px4Mode
 
 
 @pytest.fixture(params=("px4", "ardupilot"))
@@ -73,3 +76,18 @@ def test_px4_says_that_it_speaks_mavlink_2_or_qgroundcontrol_would_fall_back_to_
     assert frames[0][-2:] == struct.pack("<H", checksum.crc)
     assert copter.ask(mavlink.MAV_CMD_REQUEST_MESSAGE, number) == failed
     assert copter.ask(mavlink.MAV_CMD_REQUEST_PROTOCOL_VERSION, 1) == unsupported
+
+
+def test_px4_tells_its_mode_five_times_a_second_when_asked_and_arducopter_does_not_know_how(copter, px4):
+    accepted, failed, number = 0, 4, MAVLink_current_mode_message.id
+    interval, modes = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, development.MAVLink(None)
+    assert copter.ask(interval, number, 200_000) == failed
+    assert px4.ask(interval, number, 200_000) == accepted
+    for mode in (Px4Mode.POSCTL, Px4Mode.LOITER):
+        px4.vehicle.firmware.set_custom_mode(mode)
+        start = px4.now
+        px4.run(1.0)
+        frames = [bytearray(m.get_msgbuf()) for time, m in px4.received if time > start]
+        said = [frame for frame in frames if int.from_bytes(frame[7:10], "little") == number]
+        assert len(said) == pytest.approx(5, abs=1)
+        assert {modes.decode(frame).custom_mode for frame in said[1:]} == {mode}
