@@ -46,6 +46,9 @@ __all__ = ["Finished", "Service", "State"]
 
 Deadline = tuple[int, Callable[[int], None]]
 
+QUIET_SHARE = 0.4
+"""Of the silence that ends control; telemetry is asked for again then."""
+
 
 class Service(ControlSession):
     """The one place that holds state between events; all values inside are frozen.
@@ -62,6 +65,7 @@ class Service(ControlSession):
         if flown is not None:
             self._flown = flown
         self._earliest: Deadline | None = None
+        self._asked_again, self._asked_again_us = 0, 0
 
     def handle(self, time_us: int, event: Event) -> list[Output]:
         """Run the deadlines up to `time_us`, then the event; return what is to be sent.
@@ -132,6 +136,10 @@ class Service(ControlSession):
             if position_us is not None:
                 silent_us = position_us + microseconds(settings.telemetry.position_timeout_s)
                 deadlines.append((silent_us, self._no_position))
+            if self._may_ask_again and attitude_us is not None and position_us is not None:
+                quiet_us = microseconds(QUIET_SHARE * settings.telemetry.timeout_s)
+                quiet_us += min(attitude_us, position_us)
+                deadlines.append((max(quiet_us, self._asked_again_us), self._ask_again))
         if known.heartbeat is not None:
             lost_us = known.heartbeat_us + microseconds(settings.telemetry.heartbeat_timeout_s)
             deadlines.append((lost_us, self._heartbeat_lost))
@@ -175,6 +183,19 @@ class Service(ControlSession):
             self._request_rates(time_us)
             return
         self._say_once(Severity.WARNING, telemetry.too_slow_text(wanted, self._known, time_us))
+
+    @property
+    def _may_ask_again(self) -> bool:
+        """For message rates in flight: a ground station behind the same router may have changed them."""
+        controls = self.state in (State.ENGAGING, State.ENGAGED)
+        return controls and self._asked_again < self.settings.telemetry.request_limit
+
+    def _ask_again(self, time_us: int) -> None:
+        """Telemetry becomes slow in flight: it would end control within a second."""
+        self._asked_again += 1
+        self._asked_again_us = time_us + microseconds(self.settings.telemetry.request_interval_s)
+        self._say_once(Severity.WARNING, "telemetry slows down: asked for it again")
+        self._request_rates(time_us)
 
     def _request_rates(self, time_us: int) -> None:
         wanted = self.settings.telemetry
@@ -235,6 +256,8 @@ class Service(ControlSession):
 
     def _on_heartbeat(self, time_us: int, event: events.HeartbeatReceived) -> None:
         first = self._known.heartbeat is None
+        if self.state in IDLE:
+            self._asked_again = 0
         self._restarted(event.armed)
         self._known = telemetry.receive_heartbeat(self._known, time_us, event)
         if first:
@@ -283,6 +306,9 @@ class Service(ControlSession):
             self._loop = begin_loop(self.settings, self._known, time_us)
         elif sample.dt > 0.0:
             self._control(time_us, sample.dt)
+        slow = self._may_ask_again and telemetry.slowed_down(self.settings.telemetry, self._known, time_us)
+        if slow and time_us >= self._asked_again_us:
+            self._ask_again(time_us)
         if self.state is State.WAITING:
             self._try_ready(time_us)
         if self.state is State.READY and self._auto_engage and self._grounded(time_us) is not None:

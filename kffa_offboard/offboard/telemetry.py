@@ -25,6 +25,7 @@ from kffa_offboard.offboard.sequence import microseconds
 from kffa_offboard.offboard.settings import LimitSettings, TelemetrySettings
 
 _WINDOW_US = 1_000_000  # over which rates are measured
+_LATELY_US = 250_000
 LONGEST_LATENCY_S = 10.0
 
 
@@ -284,6 +285,18 @@ def too_slow(settings: TelemetrySettings, known: Telemetry, time_us: int) -> boo
     return (
         rate_hz(known.attitude_stream, time_us) < settings.rate_fraction * settings.attitude_hz
         or rate_hz(known.position_stream, time_us) < settings.rate_fraction * settings.position_hz
+    )
+
+
+def slowed_down(settings: TelemetrySettings, known: Telemetry, time_us: int) -> bool:
+    """Far less than what is needed has come lately."""
+    return any(
+        len(stream.arrivals) - bisect_right(stream.arrivals, time_us - _LATELY_US)
+        < settings.rate_fraction * minimum * _LATELY_US * 1e-6
+        for stream, minimum in (
+            (known.attitude_stream, settings.minimum_attitude_hz),
+            (known.position_stream, settings.minimum_position_hz),
+        )
     )
 
 

@@ -256,3 +256,17 @@ def test_an_autopilot_that_restarts_in_flight_ends_control(fault_flight, way):
     flight = flown(fault_flight(down=down, seconds=AT + 1.0), way)
     assert flight.released_s <= AT + 0.3
     assert flight.violations == []
+
+
+def test_a_ground_station_that_asks_for_4_hz_on_the_same_link_does_not_end_the_flight(fault_flight):
+    """MAVProxy does, when it has read the parameters, and ArduPilot obeys the last who asks."""
+
+    def ask(vehicle):
+        everything = mavlink.MAVLink_request_data_stream_message(1, 1, mavlink.MAV_DATA_STREAM_ALL, 4, 1)
+        vehicle.receive(everything.pack(mavlink.MAVLink(None, 255, 190)), "daemon")
+
+    flight = fault_flight("ardupilot", acts={AT: ask}, seconds=AT + 3.0).fly()
+    assert flight.released_s is None, flight.texts
+    assert "telemetry slows down: asked for it again" in flight.texts
+    assert flight.violations == []
+    assert max(abs(height - 5.0) for height in flight.heights) < 0.1

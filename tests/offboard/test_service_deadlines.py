@@ -1,5 +1,6 @@
 """Setpoints while telemetry is silent, and what falls due in which order."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -112,7 +113,8 @@ def test_one_late_call_runs_every_deadline_in_order_at_its_own_time(fake):
         one_by_one += punctual.service.advance(due)
     assert at_once == one_by_one + punctual.service.advance(end)
     kinds = [type(output).__name__ for output in at_once]
-    assert kinds.index("AttitudeTarget") < kinds.index("Announce") < kinds.index("SetMode")
+    failsafe = next(k for k, output in enumerate(at_once) if "failsafe" in getattr(output, "text", ""))
+    assert kinds.index("AttitudeTarget") < failsafe < kinds.index("SetMode")
     assert late.service.next_deadline() == punctual.service.next_deadline() > end
 
 
@@ -132,3 +134,73 @@ def test_a_heartbeat_that_was_lost_and_came_back_is_greeted_with_a_request(fake)
     flight.run(1.1)
     assert len(flight.sent(events.RequestMessageRates)) == 1
     flight.run_to(State.READY, 2.0)
+
+
+# ------------------------------------------------------------------------ rates in flight
+
+
+def asked_s(flight, since_us):
+    return [
+        (time - since_us) * 1e-6 for time, _ in flight.sent(events.RequestMessageRates) if time > since_us
+    ]
+
+
+@pytest.mark.parametrize("kind", [events.AttitudeReceived, events.PositionReceived])
+def test_rates_are_asked_for_again_before_silence_ends_control(fake, kind):
+    """A ground station behind the same router has asked for 4 Hz: that was the end of the flight."""
+    flight = fake.hovering()
+    last_us = flight.time_us
+    flight.mute = {kind}
+    flight.run(0.2)
+    assert asked_s(flight, last_us) == pytest.approx([0.1])
+    flight.mute = set()
+    flight.run(3.0)
+    assert len(asked_s(flight, last_us)) == 1
+    assert flight.service.state is State.ENGAGED
+    assert flight.texts == ["telemetry slows down: asked for it again"]
+
+
+def thinned(flight, kept_of):
+    """One of so many attitudes arrives."""
+    count = itertools.count()
+
+    def change(event):
+        if type(event) is events.AttitudeReceived and next(count) % kept_of:
+            return events.StatusReceived(6, "")
+        return event
+
+    return change
+
+
+@pytest.mark.parametrize(("kept_of", "asks"), [(2, 0), (3, 1), (5, 1)])
+def test_rates_that_fall_below_what_is_needed_are_asked_for_again_within_a_quarter_of_a_second(
+    fake, kept_of, asks
+):
+    """50 Hz are needed, of which four fifths will do."""
+    flight = fake.hovering()
+    last_us = flight.time_us
+    flight.change = thinned(flight, kept_of)
+    flight.run(0.26)
+    assert len(asked_s(flight, last_us)) == asks
+
+
+def test_a_link_that_stays_slow_is_asked_once_a_second_and_ten_times_in_a_flight(fake):
+    flight = fake.hovering()
+    last_us = flight.time_us
+    flight.change = thinned(flight, 4)
+    flight.run(14.0)
+    assert flight.service.state is State.ENGAGED
+    times = asked_s(flight, last_us)
+    assert len(times) == 10
+    assert np.diff(times) == pytest.approx(1.0, abs=0.05)
+    assert flight.texts == ["telemetry slows down: asked for it again"]
+
+
+def test_rates_are_not_asked_for_again_while_control_is_given_back(fake):
+    flight = fake.hovering()
+    flight.give(events.ReleaseRequested("enough"))
+    assert flight.service.state is State.RELEASING
+    last_us = flight.time_us
+    flight.mute = {events.AttitudeReceived}
+    flight.run(0.2)
+    assert asked_s(flight, last_us) == []
