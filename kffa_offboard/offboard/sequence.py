@@ -17,6 +17,9 @@ from functools import lru_cache
 from kffa_offboard.offboard.events import HeartbeatReceived, ModeKind, Output, SetArmed, SetMode
 from kffa_offboard.offboard.settings import SequenceSettings
 
+LANDED_WITHIN_S = 3.0
+"""A land detector that has not noticed the ground by then will not: ArduCopter's under attitude setpoints."""
+
 
 @lru_cache(256)
 def microseconds(seconds: float) -> int:
@@ -71,6 +74,16 @@ def run_retry(retry: Retry, time_us: int) -> tuple[Retry, tuple[Output, ...], bo
 def accept_retry(retry: Retry, time_us: int) -> Retry:
     """The autopilot has accepted the request."""
     return replace(retry, accepted_us=time_us, undoes_open=False)
+
+
+def refuse_disarming(retry: Retry, time_us: int) -> Retry:
+    """The autopilot refuses to disarm a vehicle that stands: its land detector has `LANDED_WITHIN_S` left.
+
+    Where a request to arm is open, refusing means nothing yet.
+    """
+    if not isinstance(retry.request, SetArmed) or retry.undoes_open or retry.accepted_us is not None:
+        return retry
+    return replace(retry, give_up_us=min(retry.give_up_us, time_us + microseconds(LANDED_WITHIN_S)))
 
 
 def contradicted(settings: SequenceSettings, retry: Retry, time_us: int) -> bool:

@@ -37,6 +37,7 @@ from kffa_offboard.offboard.sequence import (
     engagement_due,
     microseconds,
     mode_granted,
+    refuse_disarming,
     retry_due,
 )
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -359,6 +360,9 @@ class Service(ControlSession):
                     self._on_accepted(time_us, event.action)
             case _:
                 pass
+        if refused and event.action == "disarm" and self.state is State.RELEASING:
+            assert self._retry is not None
+            self._retry = refuse_disarming(self._retry, time_us)
         if refused and event.action != "other":
             self._say_once(Severity.WARNING, f"{event.action} refused: {event.result_name}")
 

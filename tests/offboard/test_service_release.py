@@ -106,6 +106,21 @@ def test_releasing_before_takeoff_disarms(fake):
     assert flight.service.finished == Finished(True, "by hand")
 
 
+@pytest.mark.parametrize(("answers", "wait_s"), [(True, 3.0), (False, 10.0)])
+def test_who_refuses_to_disarm_on_the_ground_is_asked_for_land_mode_in_three_seconds(fake, answers, wait_s):
+    """ArduCopter's land detector may never notice the ground; without an answer, much may still happen."""
+    flight = fake.Lockstep(fake.settings()).run_to(State.ENGAGED)
+    flight.vehicle.grants_arming = False
+    if not answers:
+        flight.mute = {events.CommandAnswered}
+    asked_us = flight.time_us
+    flight.give(events.ReleaseRequested("by hand"))
+    flight.run(12.0, lambda: flight.vehicle.mode is ModeKind.LAND)
+    (land_us,) = [time for time, mode in flight.sent(SetMode) if mode == LAND]
+    assert (land_us - asked_us) * 1e-6 == pytest.approx(wait_s, abs=0.02)
+    assert "still armed on the ground: keep away" in flight.texts
+
+
 @pytest.fixture
 def arming_open(fake):
     """A flight that has asked to arm; neither that nor disarming shows or is accepted."""
