@@ -29,6 +29,7 @@ HEIGHT_M, PICKUP_S, DROP_S, END_S = 3.0, 6.0, 8.0, 11.0
 """Times are seconds since lift-off."""
 
 BEGIN_S, SILENCE_S = DROP_S + 0.3, 0.5
+HEARTBEAT = mavlink.MAVLINK_MSG_ID_HEARTBEAT
 POSITION = mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED
 SAMPLES = (mavlink.MAVLINK_MSG_ID_ATTITUDE, POSITION)
 OUTPUT = {"ardupilot": "attitude", "px4": "rates"}
@@ -44,14 +45,18 @@ class DeafBridge(Bridge):
     """Loses the firmware's samples for a while after the load has left: `silent`, s of simulated time."""
 
     silent: tuple[float, float] = (np.inf, np.inf)
-    ground_m: float | None = None
+    ground_m: float = 0.0
+    armed = False
 
     def _hear_firmware(self) -> bool:
         answered = super()._hear_firmware()
         for _, frame in self._to_daemon:
+            if number_of(frame) == HEARTBEAT:
+                self.armed = bool(frame[16] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             if number_of(frame) == POSITION and self.silent[0] == np.inf:
                 (down,) = struct.unpack_from("<f", frame, 22)
-                self.ground_m = -down if self.ground_m is None else self.ground_m
+                if not self.armed:  # an estimate that is settling wanders
+                    self.ground_m = -down
                 if -down - self.ground_m > 0.3:
                     type(self).silent = (self.time_s + BEGIN_S, self.time_s + BEGIN_S + SILENCE_S)
         if self.silent[0] <= self.time_s < self.silent[1]:
