@@ -307,8 +307,8 @@ class Service(ControlSession):
             self._loop = begin_loop(self.settings, self._known, time_us)
         elif sample.dt > 0.0:
             self._control(time_us, sample.dt)
-        slow = self._may_ask_again and telemetry.slowed_down(self.settings.telemetry, self._known, time_us)
-        if slow and time_us >= self._asked_again_us:
+        may = time_us >= self._asked_again_us and self._may_ask_again
+        if may and telemetry.slowed_down(self.settings.telemetry, self._known, time_us):
             self._ask_again(time_us)
         if self.state is State.WAITING:
             self._try_ready(time_us)

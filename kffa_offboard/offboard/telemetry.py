@@ -9,7 +9,7 @@ samples count as arrived.
 from __future__ import annotations
 
 from bisect import bisect_right
-from math import cos, isfinite, nan, pi
+from math import ceil, cos, isfinite, nan, pi
 from typing import NamedTuple
 
 from kffa_offboard.offboard.events import (
@@ -290,14 +290,16 @@ def too_slow(settings: TelemetrySettings, known: Telemetry, time_us: int) -> boo
 
 def slowed_down(settings: TelemetrySettings, known: Telemetry, time_us: int) -> bool:
     """Far less than what is needed has come lately."""
-    return any(
-        len(stream.arrivals) - bisect_right(stream.arrivals, time_us - _LATELY_US)
-        < settings.rate_fraction * minimum * _LATELY_US * 1e-6
-        for stream, minimum in (
-            (known.attitude_stream, settings.minimum_attitude_hz),
-            (known.position_stream, settings.minimum_position_hz),
-        )
+    share, since_us = settings.rate_fraction * _LATELY_US * 1e-6, time_us - _LATELY_US
+    return _fewer(known.attitude_stream, share * settings.minimum_attitude_hz, since_us) or _fewer(
+        known.position_stream, share * settings.minimum_position_hz, since_us
     )
+
+
+def _fewer(stream: Stream, count: float, since_us: int) -> bool:
+    """Fewer than so many samples have come after `since_us`."""
+    least, arrivals = ceil(count), stream.arrivals
+    return least > 0 and (len(arrivals) < least or arrivals[-least] <= since_us)
 
 
 def too_slow_text(settings: TelemetrySettings, known: Telemetry, time_us: int) -> str:
