@@ -196,12 +196,15 @@ class Service(ControlSession):
         self._asked_again += 1
         self._asked_again_us = time_us + microseconds(self.settings.telemetry.request_interval_s)
         self._say_once(Severity.WARNING, "telemetry slows down: asked for it again")
-        self._request_rates(time_us)
+        self._emit_rates()
 
     def _request_rates(self, time_us: int) -> None:
-        wanted = self.settings.telemetry
         self._requests += 1
-        self._request_us = time_us + microseconds(wanted.request_interval_s)
+        self._request_us = time_us + microseconds(self.settings.telemetry.request_interval_s)
+        self._emit_rates()
+
+    def _emit_rates(self) -> None:
+        wanted = self.settings.telemetry
         self._emit(
             events.RequestMessageRates(
                 wanted.attitude_hz,

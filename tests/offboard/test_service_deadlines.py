@@ -204,3 +204,15 @@ def test_rates_are_not_asked_for_again_while_control_is_given_back(fake):
     flight.mute = {events.AttitudeReceived}
     flight.run(0.2)
     assert asked_s(flight, last_us) == []
+
+
+def test_what_was_asked_for_in_flight_does_not_count_on_the_ground_afterwards(fake):
+    flight = fake.hovering()
+    flight.change = thinned(flight, 4)
+    flight.run(12.0)
+    flight.give(events.ReleaseRequested("enough", stay=True))
+    flight.run(2.0)
+    assert flight.service.state in (State.READY, State.WAITING)
+    landed_us = flight.time_us
+    flight.run(3.0)
+    assert len(asked_s(flight, landed_us)) >= 2
