@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from kffa_offboard.campaign.conditions import Conditions, Surroundings, draw
@@ -131,7 +132,7 @@ class Batch:
         balance = np.concatenate([np.zeros((3, len(hover))), hover[None]])
         state = controllers.initial_state(parameters, self._reference, balance)
         # One age of the last measurement for the whole batch, so that the gains are worked out once.
-        state = state._replace(observer=state.observer._replace(elapsed=np.zeros((4, 1))))
+        state = replace(state, observer=replace(state.observer, elapsed=np.zeros((4, 1))))
         return controllers.align_reference(parameters, state)
 
     def _measurable(self) -> Array:

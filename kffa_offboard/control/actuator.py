@@ -13,6 +13,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from kffa_offboard.control import Array, column
 from kffa_offboard.control.memory import remember
@@ -36,7 +37,7 @@ class ActuatorParameters:
         return float(np.max(self.lag))
 
 
-class ActuatorState(NamedTuple):
+class ActuatorState(Struct, frozen=True):
     """Commands under way.
 
     Attributes

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
+from msgspec import Struct
 
 from kffa_offboard.control import Array, BoolArray, actuator, column, fuzzy, kalman, ladrc, observer, pid
 from kffa_offboard.control import tracking_differentiator as td
@@ -58,14 +59,14 @@ class ControllerParameters:
         return np.where(self.angular, 2.0 * np.pi, 0.0)
 
 
-class ExpectedStep(NamedTuple):
+class ExpectedStep(Struct, frozen=True):
     """The disturbance will change by `step` ``(4[, N])``; it shows in the measurements `after` s from now."""
 
     step: Array
     after: float
 
 
-class ControllerState(NamedTuple):
+class ControllerState(Struct, frozen=True):
     """Everything that a controller remembers between steps; a value: copy it, compare it, save it."""
 
     differentiator: td.TrackingDifferentiatorState
@@ -76,7 +77,7 @@ class ControllerState(NamedTuple):
     expected: ExpectedStep | None = None
 
 
-class ControllerInput(NamedTuple):
+class ControllerInput(Struct, frozen=True):
     """What one step is told; arrays ``(4[, N])`` in channel order.
 
     Attributes
@@ -94,7 +95,7 @@ class ControllerInput(NamedTuple):
     measured_rate: Array | None = None
 
 
-class ControllerOutput(NamedTuple):
+class ControllerOutput(Struct, frozen=True):
     """What one step says; arrays ``(4[, N])`` in channel order.
 
     Attributes

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 
 from kffa_offboard.control import Array, actuator, column, fuzzy, kalman, ladrc, observer, pid
 from kffa_offboard.control import tracking_differentiator as td
@@ -133,9 +134,10 @@ def with_times(
     queue, filtered = state.actuator, state.kalman
     over = actuator.count_over(parameters.actuator, ages)
     if filtered is not None:
-        filtered = filtered._replace(spreads=found.spreads)
-    return state._replace(
-        observer=state.observer._replace(elapsed=found.elapsed),
+        filtered = replace(filtered, spreads=found.spreads)
+    return replace(
+        state,
+        observer=replace(state.observer, elapsed=found.elapsed),
         actuator=actuator.ActuatorState(actuator.kept(ages, over), queue.commands[over:], queue.lagged),
         kalman=filtered,
     )
@@ -195,12 +197,12 @@ def with_disturbance_step(
     disturbance and take no notice.
     """
     if after > 0.0:
-        return state._replace(expected=ExpectedStep(step, after) if np.any(step) else None)
-    stepped = state.observer._replace(disturbance=state.observer.disturbance + step)
+        return replace(state, expected=ExpectedStep(step, after) if np.any(step) else None)
+    stepped = replace(state.observer, disturbance=state.observer.disturbance + step)
     filter_state = state.kalman
     if parameters.kalman is not None and filter_state is not None:
         filter_state = kalman.with_disturbance_step(parameters.kalman, filter_state, step)
-    return state._replace(observer=stepped, kalman=filter_state, expected=None)
+    return replace(state, observer=stepped, kalman=filter_state, expected=None)
 
 
 def _advance_expected(
@@ -216,7 +218,7 @@ def _advance_expected(
         return state, acted
     assert not isinstance(dt, np.ndarray)
     if expected.after > dt:
-        return state._replace(expected=expected._replace(after=expected.after - dt)), acted
+        return replace(state, expected=replace(expected, after=expected.after - dt)), acted
     early = expected.after / dt * expected.step / column(parameters.model.b0, expected.step)
     return with_disturbance_step(parameters, state, expected.step), acted - early
 
@@ -239,7 +241,7 @@ def _estimate(
 ) -> ControllerState:
     """Lag, Kalman filter and observer: everything that runs in shadow, too."""
     acted, lagged = actuator.lagging(average, found.window.held, found.window.decay, state.actuator.lagged)
-    state = state._replace(actuator=state.actuator._replace(lagged=lagged))
+    state = replace(state, actuator=replace(state.actuator, lagged=lagged))
     state, acted = _advance_expected(parameters, state, acted, found.dt)
     before = state.observer
     estimate, rate = observer.moved(found.discrete, before.estimate, before.rate, before.disturbance, acted)
@@ -257,12 +259,12 @@ def _estimate(
         assert not isinstance(found.dt, np.ndarray)
         baseline = pid.differentiate(parameters.pid, state.pid, measurement, found.dt)
         if inputs.measured_rate is not None:
-            baseline = baseline._replace(rate=inputs.measured_rate)
+            baseline = replace(baseline, rate=inputs.measured_rate)
         seen = observer.ObserverState(measurement, baseline.rate, -baseline.integral, before.elapsed)
-        return state._replace(observer=seen, pid=baseline, kalman=filter_state)
+        return replace(state, observer=seen, pid=baseline, kalman=filter_state)
     assert found.correction is not None
     seen = observer.corrected(found.correction, predicted, filtered, inputs.fresh)
-    return state._replace(observer=seen, kalman=filter_state)
+    return replace(state, observer=seen, kalman=filter_state)
 
 
 def _track(
@@ -298,7 +300,7 @@ def _ahead(
     if expected is None:
         return ahead
     met = expected.after <= column(lead(parameters), ahead.disturbance) + _SAME_MOMENT
-    return ahead._replace(disturbance=ahead.disturbance + np.where(met, expected.step, 0.0))
+    return replace(ahead, disturbance=ahead.disturbance + np.where(met, expected.step, 0.0))
 
 
 def _adrc_command(

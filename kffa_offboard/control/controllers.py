@@ -19,6 +19,7 @@ a yaw reference across +-pi takes the short way and everything behind is linear.
 from __future__ import annotations
 
 import numpy as np
+from msgspec.structs import replace
 
 from kffa_offboard.control import Array, actuator, column, pid, straight
 from kffa_offboard.control import tracking_differentiator as td
@@ -77,17 +78,17 @@ def align_reference(parameters: ControllerParameters, state: ControllerState) ->
     The integral of a PID is set so that its next command equals the one that is acting.
     """
     estimate, rate = state.observer.estimate, state.observer.rate
-    aligned = state._replace(
-        differentiator=td.TrackingDifferentiatorState(estimate, rate, np.zeros_like(rate))
+    aligned = replace(
+        state, differentiator=td.TrackingDifferentiatorState(estimate, rate, np.zeros_like(rate))
     )
     if parameters.pid is None:
         return aligned
     acting = state.actuator.commands[-1]
-    at_rest = state.pid._replace(integral=np.zeros_like(acting))
+    at_rest = replace(state.pid, integral=np.zeros_like(acting))
     unlimited = pid.command(parameters.pid, at_rest, state.pid.measurement)
     integral = column(parameters.pid.b0, acting) * (acting - unlimited)
     needs = column(parameters.pid.ki, acting) > 0.0
-    return aligned._replace(pid=state.pid._replace(integral=np.where(needs, integral, 0.0)))
+    return replace(aligned, pid=replace(state.pid, integral=np.where(needs, integral, 0.0)))
 
 
 def with_applied(
@@ -128,7 +129,7 @@ def step(
     means = averages(found, ages, state.actuator.commands)
     advanced, output = advance(parameters, found, state, inputs, means)
     state = with_times(parameters, advanced, found, ages)
-    return state._replace(actuator=actuator.send(state.actuator, output.command)), output
+    return replace(state, actuator=actuator.send(state.actuator, output.command)), output
 
 
 def write_out(parameters: ControllerParameters, *, with_rate: bool) -> None:

@@ -17,6 +17,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.control import Array, BoolArray
 from kffa_offboard.control.covariance import Covariance, KalmanParameters, Spread, corrected, later, predicted
@@ -37,7 +39,7 @@ __all__ = [
 MEASUREMENT_VARIANCE = 0.001  # the paper's R (section III-C)
 
 
-class KalmanState(NamedTuple):
+class KalmanState(Struct, frozen=True):
     """Mean of the filter, and how uncertain it is.
 
     Attributes
@@ -100,7 +102,7 @@ def with_disturbance_step(parameters: KalmanParameters, state: KalmanState, step
     """The disturbance is known to have changed by `step` ``(4[, N])``; the literal filter has none."""
     if parameters.states != 3:
         return state
-    return state._replace(disturbance=state.disturbance + step)
+    return replace(state, disturbance=state.disturbance + step)
 
 
 def covariances(parameters: KalmanParameters, model: PlantModel, state: KalmanState) -> Array:
@@ -201,4 +203,4 @@ def step(
     shaped, spreads = gains(parameters, model, state, fresh, dt, with_rate=rates is not None)
     discrete = discretised(model, dt, state.estimate.ndim)
     state = advance(shaped, discrete, state, command, measurement, fresh, rates)
-    return state._replace(spreads=spreads), state.estimate
+    return replace(state, spreads=spreads), state.estimate

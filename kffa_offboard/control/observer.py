@@ -26,6 +26,8 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from kffa_offboard.control import Array, BoolArray, column
@@ -100,7 +102,7 @@ class ObserverParameters:
         return cls(poles)
 
 
-class ObserverState(NamedTuple):
+class ObserverState(Struct, frozen=True):
     """Estimates s1 (output), s2 (its rate), s3 (total disturbance) and the age of the last correction.
 
     Attributes
@@ -219,7 +221,7 @@ def correct(
     fresh : (4[, N]) of bool
     """
     state = corrected(gains(parameters, model, state.elapsed), state, measurement, fresh)
-    return state._replace(elapsed=np.where(fresh, 0.0, state.elapsed))
+    return replace(state, elapsed=np.where(fresh, 0.0, state.elapsed))
 
 
 def corrected(

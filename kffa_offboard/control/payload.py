@@ -24,9 +24,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from math import exp, isinf
-from typing import Any, NamedTuple, TypeAlias
+from operator import attrgetter
+from typing import Any, TypeAlias
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.control import Array, BoolArray, actuator
 from kffa_offboard.control.tracing import Tape, compiled
@@ -95,7 +98,7 @@ class PayloadParameters:
         return GRAVITY / self.hover_thrust
 
 
-class PayloadState(NamedTuple):
+class PayloadState(Struct, frozen=True):
     """Estimates, sums and commands under way.
 
     Attributes
@@ -122,7 +125,7 @@ class PayloadState(NamedTuple):
     suspected: Array
 
 
-class PayloadEstimate(NamedTuple):
+class PayloadEstimate(Struct, frozen=True):
     """What one step found.
 
     Attributes
@@ -147,7 +150,8 @@ def initial_state(thrust: Array, rate: Array) -> PayloadState:
 def reset(state: PayloadState, rate: Array, load_ratio: Array, std: Array) -> PayloadState:
     """Begin anew with a climb rate [m/s] and load / empty mass, and the standard deviation of the ratio."""
     zero = np.zeros_like(rate)
-    return state._replace(
+    return replace(
+        state,
         rate=rate,
         ratio=1.0 / (1.0 + load_ratio),
         rate_variance=zero + 1.0,
@@ -162,7 +166,7 @@ def reset(state: PayloadState, rate: Array, load_ratio: Array, std: Array) -> Pa
 
 def send(state: PayloadState, thrust: Array) -> PayloadState:
     """Collective `thrust` goes out at this moment."""
-    return PayloadState(actuator.send(state.thrust, thrust[None]), *state[1:])
+    return replace(state, thrust=actuator.send(state.thrust, thrust[None]))
 
 
 def load(parameters: PayloadParameters, state: PayloadState) -> tuple[Array, Array]:
@@ -177,16 +181,16 @@ def accept(parameters: PayloadParameters, state: PayloadState) -> PayloadState:
     """Take the present estimate for the settled load, without any suspicion."""
     zero = np.zeros_like(state.rate)
     settled = load(parameters, state)[0]
-    return state._replace(settled=settled, rising=zero, falling=zero, suspected=zero + np.inf)
+    return replace(state, settled=settled, rising=zero, falling=zero, suspected=zero + np.inf)
 
 
 def advance(parameters: PayloadParameters, state: PayloadState, dt: float) -> PayloadState:
     """Move the commands under way by `dt` s; that is all while the vehicle does not fly freely."""
     if np.ndim(state.acted) == 0:
         queue, acted = _move_one(parameters.actuator, state.thrust, dt)
-        return PayloadState(queue, np.array(acted), *state[2:])
+        return replace(state, thrust=queue, acted=np.array(acted))
     queue, together = actuator.step(parameters.actuator, state.thrust, dt)
-    return state._replace(thrust=queue, acted=together[0])
+    return replace(state, thrust=queue, acted=together[0])
 
 
 def _move_one(
@@ -230,7 +234,7 @@ def step(
     else:
         queue, (acted,) = actuator.step(parameters.actuator, state.thrust, dt)
     state = _filter(parameters, state, acted, rate, tilt_factor, fresh, dt)
-    return _decide(parameters, state._replace(thrust=queue), rate, dt)
+    return _decide(parameters, replace(state, thrust=queue), rate, dt)
 
 
 def _filter(
@@ -257,7 +261,8 @@ def _predict(
     mistimed = parameters.b0 * change * parameters.timing_uncertainty
     drift = parameters.acceleration_intensity / GRAVITY**2 * dt
     covariance = state.covariance + gain * state.ratio_variance
-    return state._replace(
+    return replace(
+        state,
         acted=acted,
         rate=state.rate + gain * state.ratio - GRAVITY * dt,
         rate_variance=state.rate_variance
@@ -282,7 +287,8 @@ def _correct(
     innovation = rate - state.rate
     k_rate, k_ratio = state.rate_variance / total, state.covariance / total
     normal = innovation / np.sqrt(total)
-    return state._replace(
+    return replace(
+        state,
         rate=state.rate + k_rate * innovation,
         ratio=np.minimum(np.maximum(state.ratio + k_ratio * innovation, 0.2), 3.0),
         rate_variance=(1.0 - k_rate) * state.rate_variance,
@@ -299,7 +305,8 @@ def write_out(parameters: PayloadParameters) -> None:
         _straight(parameters, fresh)
 
 
-_NUMBERS = 10  # of a state, beside the commands under way
+_NUMBERS = [field for field in PayloadState.__struct_fields__ if field != "thrust"]
+_numbers = attrgetter(*_NUMBERS)  # of a state, beside the commands under way
 
 
 def _straight_step(
@@ -314,12 +321,12 @@ def _straight_step(
 ) -> tuple[PayloadState, PayloadEstimate]:
     """The step of one vehicle of whose load nothing is suspected, in plain floats."""
     detection = parameters.detection
-    given: tuple[Any, ...] = (*state[1:], acted, rate, tilt_factor, dt, exp(-dt / detection.memory))
+    given: tuple[Any, ...] = (*_numbers(state), acted, rate, tilt_factor, dt, exp(-dt / detection.memory))
     *numbers, mass, std, followed = _straight(parameters, fresh)([float(number) for number in given])
     state = PayloadState(queue, *numbers)  # type: ignore[arg-type]  # floats do as arrays without axes
     if max(state.rising, state.falling) > detection.alarm:
         return _decide(parameters, state, rate, dt)
-    return state._replace(settled=followed), PayloadEstimate(mass, std, 0.0)  # type: ignore[arg-type]
+    return replace(state, settled=followed), PayloadEstimate(mass, std, 0.0)  # type: ignore[arg-type]
 
 
 _Function: TypeAlias = Callable[..., tuple[float, ...]]
@@ -339,12 +346,13 @@ def _straight(parameters: PayloadParameters, fresh: bool) -> _Function:
 
 def _written_out(parameters: PayloadParameters, fresh: bool) -> _Function:
     tape = Tape()
-    numbers = tape.inputs("x", (_NUMBERS + 5,))
-    state = PayloadState(actuator.initial_state(np.zeros(1)), *numbers[:_NUMBERS])
-    acted, rate, tilt_factor, dt, forgotten = numbers[_NUMBERS:]
+    numbers = tape.inputs("x", (len(_NUMBERS) + 5,))
+    state = PayloadState(actuator.initial_state(np.zeros(1)), *numbers[: len(_NUMBERS)])
+    acted, rate, tilt_factor, dt, forgotten = numbers[len(_NUMBERS) :]
     state = _filter(parameters, state, acted, rate, tilt_factor, fresh, dt)
     mass, std = load(parameters, state)
-    return compiled(tape, {"numbers": numbers}, [*state[1:], mass, std, _followed(state, mass, forgotten)])
+    results = [*_numbers(state), mass, std, _followed(state, mass, forgotten)]
+    return compiled(tape, {"numbers": numbers}, results)
 
 
 def _followed(state: PayloadState, mass: Array, forgotten: float) -> Array:
@@ -367,13 +375,13 @@ def _decide(
     followed = _followed(state, mass, exp(-dt / detection.memory))
     calm = np.isinf(suspected)
     if calm.all():
-        return state._replace(settled=followed), PayloadEstimate(mass, std, np.zeros_like(change))
+        return replace(state, settled=followed), PayloadEstimate(mass, std, np.zeros_like(change))
     noise = parameters.vehicle_mass / state.ratio**2 * np.sqrt(state.ratio_variance)
     clear = np.abs(change) > np.maximum(detection.minimum, detection.confidence * noise)
     decided = ~calm & (suspected >= detection.settle) & clear
     over: BoolArray = decided | (~calm & (suspected >= detection.patience))
     settled = np.where(decided, mass, np.where(calm, followed, state.settled))
-    state = state._replace(settled=settled, suspected=np.where(over, np.inf, suspected))
+    state = replace(state, settled=settled, suspected=np.where(over, np.inf, suspected))
     return state, PayloadEstimate(mass, std, np.where(decided, change, 0.0))
 
 
@@ -381,7 +389,8 @@ def _alarmed(
     parameters: PayloadParameters, state: PayloadState, alarm: BoolArray, measured: Array
 ) -> PayloadState:
     """Open the covariance where there is an alarm, so that the new mass is found at once."""
-    return state._replace(  # The climb rate was dragged along by the wrong ratio: begin it anew, too.
+    return replace(
+        state,  # The climb rate was dragged along by the wrong ratio: begin it anew, too.
         rate_variance=np.where(alarm, parameters.rate_variance, state.rate_variance),
         rate=np.where(alarm, measured, state.rate),
         covariance=np.where(alarm, 0.0, state.covariance),

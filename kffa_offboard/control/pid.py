@@ -10,9 +10,9 @@ as the others: what they command is an acceleration divided by b0, plus a consta
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from kffa_offboard.control import Array, BoolArray, column
 
@@ -46,7 +46,7 @@ class PidParameters:
     derivative_time: float = 0.02
 
 
-class PidState(NamedTuple):
+class PidState(Struct, frozen=True):
     """Integral (as an acceleration), last measurement and filtered rate, each ``(4[, N])``."""
 
     integral: Array

@@ -22,6 +22,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from msgspec.structs import replace
 
 from kffa_offboard.control import Array, BoolArray, controllers, design, fuzzy
 
@@ -245,10 +246,10 @@ def step(
     command = limit_tilt(parameters, output.command)
     state = controllers.with_applied(parameters.controller, state, command)
     shortened = np.asarray(output.saturated | (command != output.command))
-    output = output._replace(command=command, saturated=shortened)
+    output = replace(output, command=command, saturated=shortened)
     return state, PositionOutput(attitude_of(parameters.gravity, command, inputs.yaw), output)
 
 
 def _reanchored(state: controllers.ControllerState, acceleration: Array) -> controllers.ControllerState:
     """Start the model of the attitude loop from the acceleration that was measured."""
-    return state._replace(actuator=state.actuator._replace(lagged=acceleration))
+    return replace(state, actuator=replace(state.actuator, lagged=acceleration))

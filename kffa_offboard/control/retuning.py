@@ -14,6 +14,7 @@ from dataclasses import fields, is_dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+from msgspec import structs
 
 from kffa_offboard.control import Array, column, kalman
 from kffa_offboard.control.controllers import ControllerParameters, ControllerState
@@ -56,11 +57,11 @@ def retuned(
     if before.kalman is not None and after.kalman is not None and before.kalman.states != after.kalman.states:
         raise ValueError("the Kalman filter's model cannot be changed in flight")
     change = _explained(before, state) - _explained(after, state)
-    observed = state.observer._replace(disturbance=state.observer.disturbance + change)
+    observed = structs.replace(state.observer, disturbance=state.observer.disturbance + change)
     filtered = state.kalman
     if after.kalman is not None and filtered is not None and after.kalman.states == 3:
         filtered = kalman.with_disturbance_step(after.kalman, filtered, change)
-    state = state._replace(observer=observed, kalman=filtered)
+    state = structs.replace(state, observer=observed, kalman=filtered)
     return _rebalanced(before, after, state)
 
 
@@ -82,4 +83,4 @@ def _rebalanced(
     old, new, integral = before.pid, after.pid, state.pid.integral
     held = integral / column(old.b0, integral) + column(old.trim, integral) - column(new.trim, integral)
     balanced = np.where(column(new.ki, integral) > 0.0, held * column(new.b0, integral), integral)
-    return state._replace(pid=state.pid._replace(integral=balanced))
+    return structs.replace(state, pid=structs.replace(state.pid, integral=balanced))

@@ -15,6 +15,7 @@ from itertools import count
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from msgspec import structs
 
 from kffa_offboard.control import Array, actuator, observer
 from kffa_offboard.control.blocks import (
@@ -316,8 +317,9 @@ def _with_state_arrays(state: ControllerState, arrays: list[Any]) -> ControllerS
     """A state with other `_state_arrays`."""
     lagged, previous, filtered = arrays[6], arrays[-1], state.kalman
     if filtered is not None:
-        filtered = filtered._replace(estimate=arrays[7], rate=arrays[8], disturbance=arrays[9])
-    return state._replace(
+        filtered = structs.replace(filtered, estimate=arrays[7], rate=arrays[8], disturbance=arrays[9])
+    return structs.replace(
+        state,
         differentiator=TrackingDifferentiatorState(*arrays[:3]),
         observer=observer.ObserverState(arrays[3], arrays[4], arrays[5], state.observer.elapsed),
         actuator=actuator.ActuatorState((np.inf,), previous[None], lagged),

@@ -13,9 +13,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import ceil
-from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from kffa_offboard.control import Array, column
 
@@ -36,7 +36,7 @@ class TrackingDifferentiatorParameters:
     filter_time: float = 0.1
 
 
-class TrackingDifferentiatorState(NamedTuple):
+class TrackingDifferentiatorState(Struct, frozen=True):
     """Tracked reference, its rate and the acceleration that made it, each ``(4[, N])``."""
 
     position: Array

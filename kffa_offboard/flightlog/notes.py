@@ -11,10 +11,11 @@ from __future__ import annotations
 import json
 import struct
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from typing import Any, Literal, TypeAlias, TypeVar
 
-from pydantic import TypeAdapter, ValidationError
+from msgspec import ValidationError, convert
+from msgspec.structs import asdict
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.offboard.events import (
@@ -195,20 +196,13 @@ def _note(document: dict[str, Any]) -> Note:
     raise ValueError(f"note {what!r} of format {document.get('format')}; this version reads format {FORMAT}")
 
 
-_adapters: dict[str, TypeAdapter[Any]] = {}  # they take milliseconds to make
-
-
 def _checked(kind: type[Checked], fields: dict[str, Any]) -> Checked:
     """A note of that kind. Raises ValueError, one line, for fields of another type or missing ones."""
-    if kind.__name__ not in _adapters:
-        _adapters[kind.__name__] = TypeAdapter(kind)
     try:
-        checked: Checked = _adapters[kind.__name__].validate_python(fields)
-        return checked
+        return convert(fields, kind)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ValueError(f"{kind.__name__.lower()} of the flight: {where}: {first['msg'].lower()}") from error
+        text = str(error).replace("`", "")
+        raise ValueError(f"{kind.__name__.lower()} of the flight: {text[0].lower()}{text[1:]}") from error
 
 
 def notes(messages: Iterator[Any]) -> Iterator[Note]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import structs
 from numpy.typing import NDArray
 from scipy.linalg import block_diag, expm
 
@@ -149,7 +150,7 @@ class LinearController:
         return replace(
             self,
             parameters=replace(self.parameters, kalman=filtering),
-            settled=self.settled._replace(kalman=state._replace(spreads=tuple(spreads))),
+            settled=structs.replace(self.settled, kalman=structs.replace(state, spreads=tuple(spreads))),
         )
 
     def system(self, channel: int) -> LinearSystem:
@@ -166,7 +167,7 @@ class LinearController:
             differentiator=td.TrackingDifferentiatorState(zero, zero, zero),
             observer=observer.ObserverState(unit[0], unit[1], unit[2], zero),
             actuator=actuator.ActuatorState(before.actuator.ages, unit[4 : 4 + queue], unit[3]),
-            pid=before.pid._replace(measurement=zero, rate=zero, integral=zero),
+            pid=structs.replace(before.pid, measurement=zero, rate=zero, integral=zero),
             kalman=None
             if before.kalman is None
             else kalman.KalmanState(mean[0], mean[1], mean[2], before.kalman.spreads),

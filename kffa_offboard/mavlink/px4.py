@@ -6,7 +6,7 @@ modules/commander/px4_custom_mode.h.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from kffa_offboard.frame_codec import CURRENT_MODE
 from kffa_offboard.mavlink.autopilot import Autopilot, GuidedMode
@@ -133,5 +133,5 @@ class Px4(Autopilot):
         kind, name = self.mode_of(self._custom_mode)
         maybe_offboard = kind is ModeKind.OFFBOARD or self._heartbeats_until_known > 0
         if name == _MAIN_MODES[_ACRO] or (maybe_offboard and not self._sends_attitude):
-            return target._replace(thrust=None, body_rates=None, attitude=None)
+            return replace(target, thrust=None, body_rates=None, attitude=None)
         return target

@@ -9,7 +9,8 @@ the setpoints counts.
 from __future__ import annotations
 
 from math import exp
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from kffa_offboard.control import controllers
 
@@ -21,7 +22,7 @@ SWINGING = 1.5
 """Changes of side, fading with `LONG_S`, from which on thrust swings: a load that comes or goes makes one."""
 
 
-class Carrying(NamedTuple):
+class Carrying(Struct, frozen=True):
     """Mean of the thrust that balances; two means of the setpoints' thrust, on which side of the long the
     short was last, and changes of side.
     """

@@ -9,7 +9,9 @@ it is never ours, and it is left alone.
 from __future__ import annotations
 
 from itertools import chain
-from typing import NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 KEPT_US, BLOCK, BLOCKS = 1_000_000, 16, 16
 """What was sent so long ago may be what is reported; so many of it are kept, in so many blocks."""
@@ -24,7 +26,7 @@ SETTLED_US = 2_000_000
 """The first reports in the air are not judged."""
 
 
-class Echo(NamedTuple):
+class Echo(Struct, frozen=True):
     """What was sent and reported.
 
     Attributes
@@ -43,23 +45,23 @@ class Echo(NamedTuple):
 def send(echo: Echo, time_us: int, thrust: float) -> Echo:
     """Take note of a setpoint of ours."""
     if len(echo.latest) < BLOCK:
-        return Echo((*echo.latest, (time_us, thrust)), *echo[1:])
-    return Echo(((time_us, thrust),), (*echo.former[1 - BLOCKS :], echo.latest), *echo[2:])
+        return replace(echo, latest=(*echo.latest, (time_us, thrust)))
+    return replace(echo, latest=((time_us, thrust),), former=(*echo.former[1 - BLOCKS :], echo.latest))
 
 
 def forget_reports(echo: Echo) -> Echo:
     """The vehicle is not in the air under our control."""
-    return echo if echo.since_us is None else echo._replace(since_us=None, ours=())
+    return echo if echo.since_us is None else replace(echo, since_us=None, ours=())
 
 
 def report(echo: Echo, time_us: int, thrust: float) -> tuple[Echo, bool]:
     """Take in a reported thrust; True if not all that reaches the vehicle is ours."""
     if echo.since_us is None:
-        return echo._replace(since_us=time_us), False
+        return replace(echo, since_us=time_us), False
     if time_us - echo.since_us < SETTLED_US:
         return echo, False
     sent = chain(echo.latest, *echo.former)
     away = min((abs(thrust - one) for at_us, one in sent if time_us - at_us <= KEPT_US), default=0.0)
     ours = True if away <= SAME else False if away >= OTHER else None
-    echo = echo._replace(ours=(*echo.ours[1 - REPORTS :], ours))
+    echo = replace(echo, ours=(*echo.ours[1 - REPORTS :], ours))
     return echo, echo.ours.count(True) >= ENOUGH and echo.ours.count(False) >= ENOUGH

@@ -9,10 +9,11 @@ autopilot's own clock (for dt), the arrival time is given to the service beside 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from enum import Enum
 from math import nan
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
+
+from msgspec import Struct
 
 from kffa_offboard.offboard.settings import ServiceSettings
 
@@ -42,8 +43,7 @@ class Severity(Enum):
 # ---------------------------------------------------------------------------- events in
 
 
-@dataclass(frozen=True, slots=True)
-class HeartbeatReceived:
+class HeartbeatReceived(Struct, frozen=True):
     """The autopilot is alive: its firmware, flight mode and arming state."""
 
     firmware: Firmware
@@ -53,7 +53,7 @@ class HeartbeatReceived:
     armed: bool
 
 
-class AttitudeReceived(NamedTuple):
+class AttitudeReceived(Struct, frozen=True):
     """Euler angles [rad] (roll, pitch, yaw) and body rates [rad/s] of one sample."""
 
     sample_time_us: int
@@ -61,7 +61,7 @@ class AttitudeReceived(NamedTuple):
     body_rates: Vector3
 
 
-class PositionReceived(NamedTuple):
+class PositionReceived(Struct, frozen=True):
     """Position [m] and velocity [m/s] of one sample, relative to the estimator's origin, z up."""
 
     sample_time_us: int
@@ -69,7 +69,7 @@ class PositionReceived(NamedTuple):
     velocity: Vector3
 
 
-class TargetReported(NamedTuple):
+class TargetReported(Struct, frozen=True):
     """What the autopilot itself is commanding (ATTITUDE_TARGET); None where it is not to be trusted."""
 
     sample_time_us: int
@@ -78,28 +78,25 @@ class TargetReported(NamedTuple):
     attitude: Vector3 | None
 
 
-class ThrottleReported(NamedTuple):
+class ThrottleReported(Struct, frozen=True):
     """VFR_HUD throttle as a fraction 0..1, for firmware that reports no ATTITUDE_TARGET."""
 
     throttle: float
 
 
-@dataclass(frozen=True, slots=True)
-class LandedStateReported:
+class LandedStateReported(Struct, frozen=True):
     """EXTENDED_SYS_STATE: is the vehicle on the ground?"""
 
     on_ground: bool
 
 
-@dataclass(frozen=True, slots=True)
-class BatteryReported:
+class BatteryReported(Struct, frozen=True):
     """SYS_STATUS: what is left in the battery, percent."""
 
     remaining_percent: float
 
 
-@dataclass(frozen=True, slots=True)
-class CommandAnswered:
+class CommandAnswered(Struct, frozen=True):
     """COMMAND_ACK. `action` names the output it answers."""
 
     action: Literal["arm", "disarm", "mode", "message-rate", "gripper", "other"]
@@ -109,16 +106,14 @@ class CommandAnswered:
     result_name: str
 
 
-@dataclass(frozen=True, slots=True)
-class StatusReceived:
+class StatusReceived(Struct, frozen=True):
     """STATUSTEXT of the autopilot, for the log."""
 
     severity: int
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class ParameterProblem:
+class ParameterProblem(Struct, frozen=True):
     """What is wrong with one of the autopilot's parameters, and what to set. "unsafe" forbids engaging."""
 
     name: str
@@ -126,51 +121,44 @@ class ParameterProblem:
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class ParametersChecked:
+class ParametersChecked(Struct, frozen=True):
     """The autopilot's parameters were judged; `complete` is False while they are being read."""
 
     problems: tuple[ParameterProblem, ...]
     complete: bool = True
 
 
-@dataclass(frozen=True, slots=True)
-class EngageRequested:
+class EngageRequested(Struct, frozen=True):
     """Somebody (the command line or a MAVLink command) asks the daemon to take control."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReleaseRequested:
+class ReleaseRequested(Struct, frozen=True):
     """Somebody asks the daemon to give control back; with `stay` it may be asked to engage again."""
 
     reason: str
     stay: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class GripperRequested:
+class GripperRequested(Struct, frozen=True):
     """Somebody asks the daemon to grab or release the load."""
 
     action: Literal["grab", "release"]
 
 
-@dataclass(frozen=True, slots=True)
-class SettingsChanged:
+class SettingsChanged(Struct, frozen=True):
     """Other numbers from now on; what the controller remembers stays."""
 
     settings: ServiceSettings
 
 
-@dataclass(frozen=True, slots=True)
-class LinkMeasured:
+class LinkMeasured(Struct, frozen=True):
     """The autopilot's clock less ours [us], and how long a message and its answer take [s]."""
 
     clock_offset_us: int
     round_trip_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class IntrusionNoticed:
+class IntrusionNoticed(Struct, frozen=True):
     """Somebody is on the link who should not be, and what follows.
 
     It is "said"; or it "forbids" engaging, too; or, if it goes on, it "ends" control, too.
@@ -180,20 +168,17 @@ class IntrusionNoticed:
     consequence: Literal["said", "forbids", "ends"]
 
 
-@dataclass(frozen=True, slots=True)
-class GiveUpRequested:
+class GiveUpRequested(Struct, frozen=True):
     """The run ends without waiting longer: last words, and the vehicle's parameters are put back."""
 
 
-@dataclass(frozen=True, slots=True)
-class HangNoticed:
+class HangNoticed(Struct, frozen=True):
     """The daemon stood still for so long (stopped, or without a processor) that it has lost control."""
 
     seconds: float
 
 
-@dataclass(frozen=True, slots=True)
-class PositionSetpoint:
+class PositionSetpoint(Struct, frozen=True):
     """Go to x, y and z [m] from the estimator's origin, heading `yaw` [rad]; None leaves it as it is.
 
     x and y come together or not at all.
@@ -203,8 +188,7 @@ class PositionSetpoint:
     yaw: float | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class AttitudeSetpoint:
+class AttitudeSetpoint(Struct, frozen=True):
     """Fly with this attitude [rad]; the height is held."""
 
     attitude: Vector3
@@ -236,8 +220,7 @@ Event: TypeAlias = (
 # ---------------------------------------------------- what the daemon's own process reports
 
 
-@dataclass(frozen=True, slots=True)
-class StepTiming:
+class StepTiming(Struct, frozen=True):
     """How punctual the control loop is.
 
     Control steps since the start, those that were late, other deadlines that were late, and the longest
@@ -250,8 +233,7 @@ class StepTiming:
     longest_s: float
 
 
-@dataclass(frozen=True, slots=True)
-class Trouble:
+class Trouble(Struct, frozen=True):
     """Something beside the flight that people should know of: a full disk, an unplugged cable."""
 
     text: str
@@ -263,7 +245,7 @@ ProcessReport: TypeAlias = StepTiming | Trouble
 # --------------------------------------------------------------------------- messages out
 
 
-class AttitudeTarget(NamedTuple):
+class AttitudeTarget(Struct, frozen=True):
     """One setpoint. Exactly one of `body_rates` [rad/s] and `attitude` [rad] is given.
 
     `thrust` is normalised collective thrust 0..1.
@@ -274,8 +256,7 @@ class AttitudeTarget(NamedTuple):
     attitude: Vector3 | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class RequestMessageRates:
+class RequestMessageRates(Struct, frozen=True):
     """Ask for telemetry: event class name -> Hz."""
 
     attitude_hz: float
@@ -285,51 +266,45 @@ class RequestMessageRates:
     heartbeat_hz: float = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class SetMode:
+class SetMode(Struct, frozen=True):
     """Ask the autopilot for a flight mode."""
 
     mode: ModeKind
 
 
-@dataclass(frozen=True, slots=True)
-class SetArmed:
+class SetArmed(Struct, frozen=True):
     """Ask the autopilot to arm or to disarm. Never forced."""
 
     armed: bool
 
 
-@dataclass(frozen=True, slots=True)
-class SetGripper:
+class SetGripper(Struct, frozen=True):
     """Work the payload gripper (MAV_CMD_DO_GRIPPER)."""
 
     action: Literal["grab", "release"]
 
 
-@dataclass(frozen=True, slots=True)
-class Announce:
+class Announce(Struct, frozen=True):
     """A line for people: STATUSTEXT (50 characters or fewer there) and a line in the log."""
 
     severity: Severity
     text: str
 
 
-@dataclass(frozen=True, slots=True)
-class RequestRefused:
+class RequestRefused(Struct, frozen=True):
     """What was just asked is not done; `final` if asking again cannot help. For whoever asked."""
 
     reason: str
     final: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class OwnHeartbeat:
+class OwnHeartbeat(Struct, frozen=True):
     """The daemon's own heartbeat (component 191)."""
 
     state: Literal["standby", "active", "critical"]
 
 
-class Signals(NamedTuple):
+class Signals(Struct, frozen=True):
     """Inner signals of one control step, for the log and for live graphs.
 
     Each tuple is in channel order roll, pitch, yaw, altitude. `time_us` is the event's
@@ -355,8 +330,7 @@ class Signals(NamedTuple):
     position_reference: tuple[float, float] | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class PayloadReport:
+class PayloadReport(Struct, frozen=True):
     """Estimated mass of the load and its standard deviation, kg. `time_us` is the arrival time."""
 
     time_us: int

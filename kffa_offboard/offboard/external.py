@@ -6,9 +6,11 @@ point and, if that is moving, with its speed. From rest the way is a straight li
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from math import hypot, isfinite
 from typing import TypeAlias
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.offboard.events import AttitudeSetpoint, PositionSetpoint, Vector3
 from kffa_offboard.offboard.flight import Directive
@@ -21,8 +23,7 @@ _AT_REST_M_S = 0.01
 _SAME_M = 1e-3
 
 
-@dataclass(frozen=True, slots=True)
-class External:
+class External(Struct, frozen=True):
     """What was asked for last.
 
     Attributes
@@ -128,7 +129,8 @@ def hold(external: External, scenario: ScenarioState, captured: Offset, time_us:
     offset = scenario.offset
     if x is not None and y is not None:
         offset = (x - captured[0], y - captured[1])
-    return scenario._replace(
+    return replace(
+        scenario,
         offset=offset,
         hold_altitude=scenario.hold_altitude if z is None else z,
         yaw=scenario.yaw if external.yaw is None else external.yaw,
@@ -143,7 +145,7 @@ def leaning(settings: ServiceSettings, external: External, directive: Directive)
     roll, pitch, yaw = external.attitude
     _, _, _, altitude = directive.reference
     wanted = (min(max(roll, -most), most), min(max(pitch, -most), most), yaw, altitude)
-    return directive._replace(reference=wanted)
+    return replace(directive, reference=wanted)
 
 
 def expired(settings: FlightSettings, external: External, time_us: int) -> bool:

@@ -8,6 +8,8 @@ was wrong with ours. The same goes for rates that are repeated while no telemetr
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from kffa_offboard.control import controllers
 from kffa_offboard.offboard.events import AttitudeTarget
 from kffa_offboard.offboard.flight import FlightState, Phase, stands
@@ -61,5 +63,5 @@ def fly_blind(
         calm = command_of(settings, attitude, level_target(settings, attitude[2], target.thrust), near)
         after = (time_us - known.attitude_stream.arrival_us) * 1e-6
         told = controllers.with_applied(settings.controller, loop.controller, calm, after)
-        loop = loop.with_controller(told)._replace(vertical_thrust=float(calm[3]))
+        loop = replace(loop.with_controller(told), vertical_thrust=float(calm[3]))
     return loop.resent(target, time_us), target

@@ -7,7 +7,10 @@ and the attitude is held level; in the air the controller flies the scenario's r
 from __future__ import annotations
 
 from enum import Enum
-from typing import Literal, NamedTuple
+from typing import Literal
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.offboard.reference import (
     Land,
@@ -41,7 +44,7 @@ class Ending(Enum):
     FAULT = "fault"
 
 
-class FlightState(NamedTuple):
+class FlightState(Struct, frozen=True):
     """Where a flight is.
 
     Attributes
@@ -65,7 +68,7 @@ class FlightState(NamedTuple):
     outcome: Finished | None = None
 
 
-class FlightSample(NamedTuple):
+class FlightSample(Struct, frozen=True):
     """What a flight needs to know in each step.
 
     Attributes
@@ -86,7 +89,7 @@ class FlightSample(NamedTuple):
     powered_us: int | None
 
 
-class Directive(NamedTuple):
+class Directive(Struct, frozen=True):
     """What is to be done in this step.
 
     Attributes
@@ -118,17 +121,17 @@ def begin_flight(time_us: int, airborne: bool, altitude: float, yaw: float) -> F
 
 def start_scenario(state: FlightState, time_us: int) -> FlightState:
     """Count scenario time from now."""
-    return state._replace(started_us=time_us, phase_us=time_us)
+    return replace(state, started_us=time_us, phase_us=time_us)
 
 
 def hold_here(state: FlightState, altitude: float, offset: Offset) -> FlightState:
     """Keep this altitude and horizontal set point from now on (fly it with an empty scenario)."""
-    return state._replace(scenario=state.scenario._replace(hold_altitude=altitude, offset=offset))
+    return replace(state, scenario=replace(state.scenario, hold_altitude=altitude, offset=offset))
 
 
 def abandon_takeoff(state: FlightState, time_us: int, thrust: float, outcome: Finished) -> FlightState:
     """Take thrust back from `thrust` to zero; the flight then ends on the ground, with `outcome`."""
-    return state._replace(phase=Phase.TOUCHDOWN, phase_us=time_us, touchdown_thrust=thrust, outcome=outcome)
+    return replace(state, phase=Phase.TOUCHDOWN, phase_us=time_us, touchdown_thrust=thrust, outcome=outcome)
 
 
 def stands(state: FlightState, on_ground: bool | None) -> bool:
@@ -174,12 +177,12 @@ def _step_ground(
         sample.altitude,
         grounded=True,
     )
-    state = state._replace(scenario=scenario)
+    state = replace(state, scenario=scenario)
     powered = sample.powered_us is not None and sample.time_us >= sample.powered_us
     if powered and isinstance(current_segment(segments, scenario), Takeoff):
         # Ground level is taken at the last moment: estimates drift while standing.
-        scenario = scenario._replace(ground=sample.altitude, hold_altitude=sample.altitude)
-        state = state._replace(scenario=scenario, phase=Phase.RAMP, phase_us=sample.time_us)
+        scenario = replace(scenario, ground=sample.altitude, hold_altitude=sample.altitude)
+        state = replace(state, scenario=scenario, phase=Phase.RAMP, phase_us=sample.time_us)
     ending = Ending.LANDED if wanted.done else None
     return state, Directive(_level(state), 0.0, align=True, gripper=wanted.gripper, ending=ending)
 
@@ -201,7 +204,7 @@ def _step_ramp(
         start = sample.altitude + settings.reference_lag_s * climb_rate
         now_s = _seconds(state, sample.time_us)
         scenario = begin_takeoff(flight, segment, scenario, now_s, start, climb_rate)
-        state = state._replace(scenario=scenario, phase=Phase.AIR, phase_us=sample.time_us)
+        state = replace(state, scenario=scenario, phase=Phase.AIR, phase_us=sample.time_us)
         return state, Directive(_level(state), align=True)
     if elapsed > flight.liftoff_timeout_s:
         outcome = Finished(False, f"no lift-off at thrust {thrust:.2f}")
@@ -213,11 +216,11 @@ def _step_air(
     settings: ServiceSettings, segments: tuple[Segment, ...], state: FlightState, sample: FlightSample
 ) -> tuple[FlightState, Directive]:
     if sample.on_ground is False and not state.seen_in_air:
-        state = state._replace(seen_in_air=True)
+        state = replace(state, seen_in_air=True)
     scenario, wanted = step_scenario(
         settings.flight, segments, state.scenario, _seconds(state, sample.time_us), sample.altitude
     )
-    state = state._replace(scenario=scenario)
+    state = replace(state, scenario=scenario)
     if wanted.fault is not None:
         return state, Directive(wanted.reference, ending=Ending.FAULT, reason=wanted.fault)
     if isinstance(current_segment(segments, scenario), Land):
@@ -240,11 +243,11 @@ def _watch_touchdown(settings: ServiceSettings, state: FlightState, sample: Flig
         state.seen_in_air and sample.on_ground is True
     )
     if not landed or abs(sample.climb_rate) >= flight.touchdown_climb_rate_m_s:
-        return state._replace(slow_since_us=None)
+        return replace(state, slow_since_us=None)
     since = state.slow_since_us if state.slow_since_us is not None else sample.time_us
     if sample.time_us - since < round(flight.touchdown_time_s * 1e6):
-        return state._replace(slow_since_us=since)
-    return state._replace(phase=Phase.TOUCHDOWN, phase_us=sample.time_us, touchdown_thrust=sample.thrust)
+        return replace(state, slow_since_us=since)
+    return replace(state, phase=Phase.TOUCHDOWN, phase_us=sample.time_us, touchdown_thrust=sample.thrust)
 
 
 def _step_touchdown(

@@ -8,13 +8,14 @@ that is not finite is not repaired: it has no safe value, the service must give 
 from __future__ import annotations
 
 from math import cos, hypot, isfinite, pi
-from typing import NamedTuple
+
+from msgspec import Struct
 
 from kffa_offboard.offboard.events import AttitudeTarget, Vector3
 from kffa_offboard.offboard.settings import LimitSettings
 
 
-class Checked(NamedTuple):
+class Checked(Struct, frozen=True):
     """Result of a check.
 
     Attributes
@@ -29,7 +30,7 @@ class Checked(NamedTuple):
     fault: str | None = None
 
 
-class Wish(NamedTuple):
+class Wish(Struct, frozen=True):
     """What the controller is to follow.
 
     Attributes

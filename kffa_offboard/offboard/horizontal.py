@@ -9,9 +9,9 @@ come to rest; from then on that place, moved by the scenario, is held.
 from __future__ import annotations
 
 from math import hypot
-from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
 
 from kffa_offboard.control import Array, controllers, position
 from kffa_offboard.offboard.events import PositionReceived
@@ -21,7 +21,7 @@ from kffa_offboard.offboard.settings import PositionSettings
 from kffa_offboard.offboard.telemetry import Telemetry
 
 
-class HorizontalState(NamedTuple):
+class HorizontalState(Struct, frozen=True):
     """What one step of the ring leaves for the next.
 
     Attributes

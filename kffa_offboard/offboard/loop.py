@@ -8,9 +8,10 @@ shadow: the observer is then told what the autopilot itself applies.
 from __future__ import annotations
 
 from math import exp
-from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.control import Array, controllers, payload
 from kffa_offboard.control.rotation import body_rates_of, euler_rates_of, wrap_angle
@@ -34,14 +35,14 @@ _NOTHING = np.zeros(4)
 ROUNDING = 1e-9  # what a setpoint may change by on its way through body rates and back
 
 
-class Blend(NamedTuple):
+class Blend(Struct, frozen=True):
     """Difference between the autopilot's vertical thrust and the controller's at engaging; it fades."""
 
     offset: float
     since_us: int
 
 
-class LoopState(NamedTuple):
+class LoopState(Struct, frozen=True):
     """What one step leaves for the next.
 
     Attributes
@@ -75,14 +76,14 @@ class LoopState(NamedTuple):
 
     def with_controller(self, controller: controllers.ControllerState) -> LoopState:
         """Another controller state."""
-        return self._replace(controller=controller)
+        return replace(self, controller=controller)
 
     def resent(self, target: AttitudeTarget, time_us: int) -> LoopState:
         """A setpoint went out at `time_us` without a control step."""
-        return self._replace(sent=target, sent_us=time_us)
+        return replace(self, sent=target, sent_us=time_us)
 
 
-class Order(NamedTuple):
+class Order(Struct, frozen=True):
     """How this step is to be made.
 
     Attributes
@@ -108,7 +109,7 @@ class Order(NamedTuple):
         return self.acting and not self.capture
 
 
-class Trace(NamedTuple):
+class Trace(Struct, frozen=True):
     """What a step leaves for those who watch; arrays ``(4,)``. `signals` puts it into plain numbers, later.
 
     Attributes
@@ -127,7 +128,7 @@ class Trace(NamedTuple):
     applied: Array
 
 
-class LoopStep(NamedTuple):
+class LoopStep(Struct, frozen=True):
     """Result of a step: what goes out (None in shadow or on a fault), its trace, and the fault."""
 
     target: AttitudeTarget | None
@@ -161,7 +162,7 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
 
 def forget_sent(loop: LoopState) -> LoopState:
     """Nothing has been sent in the engagement that begins, or the one that was has ended."""
-    return loop._replace(sent=None, blend=None, carrying=None)
+    return replace(loop, sent=None, blend=None, carrying=None)
 
 
 def _measurement(known: Telemetry) -> Array:
@@ -261,7 +262,7 @@ def step_loop(
         return _send(settings, loop, known, order, trace, flown)
     own = own if flown is None else flown
     controller = controllers.with_applied(settings.controller, loop.controller, own)
-    loop = loop._replace(controller=controller, vertical_thrust=float(own[3]))
+    loop = replace(loop, controller=controller, vertical_thrust=float(own[3]))
     return loop, LoopStep(None, Trace(time_us, dt, place, measured, output, output.command, own))
 
 
@@ -318,7 +319,7 @@ def _send(
     since = max(trace.dt, (time_us - loop.sent_us) * 1e-6)
     checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
     if checked.target is None:
-        return loop, LoopStep(None, trace._replace(command=wanted, applied=wanted), checked.fault)
+        return loop, LoopStep(None, replace(trace, command=wanted, applied=wanted), checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
     controller, thrust = _told(settings, loop.controller, output, applied), checked.target.thrust
@@ -335,7 +336,7 @@ def _send(
         loop.horizontal,
     )
     if sent is not wanted:
-        output = output._replace(saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
+        output = replace(output, saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
     trace = Trace(time_us, trace.dt, trace.place, trace.measured, output, sent, applied)
     return loop, LoopStep(checked.target, trace)
 
@@ -367,9 +368,9 @@ def _wish(
     attitude = known.attitude.attitude
     if order.directive.ground_thrust is not None:
         target = level_target(settings, order.directive.reference[2], order.directive.ground_thrust)
-        return loop._replace(blend=None), command_of(settings, attitude, target, near), target
+        return replace(loop, blend=None), command_of(settings, attitude, target, near), target
     if order.capture:
-        loop = loop._replace(blend=Blend(own_vertical - float(command[3]), time_us))
+        loop = replace(loop, blend=Blend(own_vertical - float(command[3]), time_us))
     if loop.blend is not None:
         age = (time_us - loop.blend.since_us) * 1e-6
         fading = loop.blend.offset * exp(-age / settings.sequence.blend_time_s)

@@ -13,9 +13,10 @@ after a silence, or samples that came late.
 from __future__ import annotations
 
 from math import cos, exp
-from typing import NamedTuple
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.control import payload
 from kffa_offboard.offboard.events import Announce, Output, PayloadReport, Severity, Vector3
@@ -30,7 +31,7 @@ TOLD_MEMORY_S = 1.0
 """Time constant with which the load that is known follows its estimate: batteries sag, winds change."""
 
 
-class PayloadSample(NamedTuple):
+class PayloadSample(Struct, frozen=True):
     """One control step as payload awareness sees it.
 
     Attributes
@@ -56,21 +57,21 @@ class PayloadSample(NamedTuple):
     untimed: bool = False
 
 
-class Load(NamedTuple):
+class Load(Struct, frozen=True):
     """Mass of the load and its standard deviation, kg."""
 
     mass: float
     std: float
 
 
-class PickUp(NamedTuple):
+class PickUp(Struct, frozen=True):
     """A pick-up that is named when its mass is exact: when it was noticed, and the load before, kg."""
 
     since_us: int
     before: float
 
 
-class ExpectedDrop(NamedTuple):
+class ExpectedDrop(Struct, frozen=True):
     """A release that the daemon has commanded: the load, kg, and when it should show in the measurements."""
 
     load: float
@@ -78,7 +79,7 @@ class ExpectedDrop(NamedTuple):
     begun: bool = False
 
 
-class Awareness(NamedTuple):
+class Awareness(Struct, frozen=True):
     """What is known of the load.
 
     Attributes
@@ -120,12 +121,12 @@ def step_awareness(
     else:
         resting = payload.advance(settings.estimator, state.estimator, sample.dt)
         state = Awareness(resting)
-    return state._replace(estimator=payload.send(state.estimator, np.array(sample.thrust))), outputs
+    return replace(state, estimator=payload.send(state.estimator, np.array(sample.thrust))), outputs
 
 
 def expect_drop(state: Awareness, load: float, moment_us: int) -> Awareness:
     """The daemon has commanded the release of `load` kg, which should show at `moment_us`."""
-    return state._replace(expected=ExpectedDrop(load, moment_us))
+    return replace(state, expected=ExpectedDrop(load, moment_us))
 
 
 def weigh_anew(state: Awareness) -> Awareness:
@@ -143,8 +144,8 @@ def call_off_drop(settings: PayloadSettings, state: Awareness) -> Awareness:
         ratio = np.array(expected.load / settings.estimator.vehicle_mass)
         opening = np.array(settings.estimator.detection.opening)
         again = payload.reset(state.estimator, state.estimator.rate, ratio, opening)
-        state = state._replace(estimator=payload.accept(settings.estimator, again))
-    return state._replace(expected=None)
+        state = replace(state, estimator=payload.accept(settings.estimator, again))
+    return replace(state, expected=None)
 
 
 def _estimate(
@@ -153,13 +154,13 @@ def _estimate(
     rate = np.array(sample.climb_rate)
     if state.flying_since_us is None:
         fresh = payload.reset(state.estimator, rate, np.array(0.0), np.array(0.5))
-        state = state._replace(estimator=fresh, flying_since_us=sample.time_us)
+        state = replace(state, estimator=fresh, flying_since_us=sample.time_us)
     since_us = sample.time_us if state.flying_since_us is None else state.flying_since_us
     expected = state.expected
     if expected is not None and not expected.begun and sample.time_us >= expected.moment_us:
         opening = np.array(settings.estimator.detection.opening)
         empty = payload.reset(state.estimator, rate, np.array(0.0), opening)
-        state = state._replace(estimator=empty, expected=expected._replace(begun=True), pick_up=None)
+        state = replace(state, estimator=empty, expected=replace(expected, begun=True), pick_up=None)
     tilt_factor = np.array(cos(sample.attitude[0]) * cos(sample.attitude[1]))
     estimator, estimate = payload.step(
         settings.estimator, state.estimator, rate, tilt_factor, sample.fresh, sample.dt
@@ -168,14 +169,14 @@ def _estimate(
     if sample.time_us - since_us < round(settings.settle_s * 1e6) and state.load is None:
         if np.isfinite(estimator.suspected) or sample.untimed:  # it has just changed: begin anew
             estimator = payload.accept(settings.estimator, estimator)
-            state = state._replace(flying_since_us=sample.time_us)
-        return state._replace(estimator=estimator), ()
+            state = replace(state, flying_since_us=sample.time_us)
+        return replace(state, estimator=estimator), ()
     first = state.load is None
-    state = state._replace(estimator=estimator, load=load)
+    state = replace(state, estimator=estimator, load=load)
     outputs: list[Output] = []
     if first:
         outputs += _carrying(settings, load)
-        state = state._replace(told=load.mass)
+        state = replace(state, told=load.mass)
     if state.expected is not None:
         state, said = _watch_release(settings, state, load, sample.time_us)
     else:
@@ -219,24 +220,24 @@ def _watch_changes(
     doubtful = state.unrest_us is not None or sample.swinging
     unbelieved = change != 0.0 and (doubtful or not _believable(settings, state, load, change))
     if unbelieved or sample.untimed:
-        return state._replace(unrest_us=time_us, pick_up=None), ()
+        return replace(state, unrest_us=time_us, pick_up=None), ()
     if state.unrest_us is not None:
         return _watch_unrest(settings, state, load, time_us)
     if change > 0.0:
         before = load.mass - change if state.pick_up is None else state.pick_up.before
-        return state._replace(pick_up=PickUp(time_us, before)), ()
+        return replace(state, pick_up=PickUp(time_us, before)), ()
     if change < 0.0:
         dropped = -change if _rest(settings, load) else load.mass - change
         drop = Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg")
-        return state._replace(pick_up=None, told=load.mass), (drop,)
+        return replace(state, pick_up=None, told=load.mass), (drop,)
     pick_up = state.pick_up
     if pick_up is None and np.isinf(state.estimator.suspected):
         told = load.mass + (state.told - load.mass) * exp(-sample.dt / TOLD_MEMORY_S)
-        return state._replace(told=told), ()
+        return replace(state, told=told), ()
     if pick_up is None or time_us - pick_up.since_us < round(settings.announce_s * 1e6):
         return state, ()
     text = f"picked up {load.mass - pick_up.before:.1f} kg"
-    return state._replace(pick_up=None, told=load.mass), (Announce(Severity.NOTICE, text),)
+    return replace(state, pick_up=None, told=load.mass), (Announce(Severity.NOTICE, text),)
 
 
 def _believable(settings: PayloadSettings, state: Awareness, load: Load, change: float) -> bool:
@@ -256,7 +257,7 @@ def _watch_unrest(settings: PayloadSettings, state: Awareness, load: Load, time_
     if time_us - state.unrest_us < round(CALM_S * 1e6):
         return state, ()
     news = abs(load.mass - state.told) > max(2.0 * settings.estimator.detection.minimum, _SURE * load.std)
-    state = state._replace(unrest_us=None, told=load.mass if news else state.told)
+    state = replace(state, unrest_us=None, told=load.mass if news else state.told)
     if not news:
         return state, ()
     if _clear(settings, load):
@@ -273,11 +274,11 @@ def _watch_release(settings: PayloadSettings, state: Awareness, load: Load, time
         return state, ()
     if load.mass < 0.5 * expected.load and load.std < 0.25 * expected.load:
         text = Announce(Severity.NOTICE, f"dropped {expected.load:.1f} kg")
-        return state._replace(expected=None, told=load.mass), (text,)
+        return replace(state, expected=None, told=load.mass), (text,)
     if elapsed < settings.release_timeout_s:
         return state, ()
     text = Announce(Severity.WARNING, f"release not seen: still {load.mass:.1f} kg")
-    return state._replace(expected=None), (text,)
+    return replace(state, expected=None), (text,)
 
 
 def _watch_limit(settings: PayloadSettings, state: Awareness, load: Load) -> _Told:
@@ -288,8 +289,8 @@ def _watch_limit(settings: PayloadSettings, state: Awareness, load: Load) -> _To
         return state, ()
     if not state.heavy and min(load.mass, state.told) - 2.0 * load.std > limit:
         text = f"load of {load.mass:.1f} kg is above the limit of {limit:.1f} kg"
-        return state._replace(heavy=True), (Announce(Severity.WARNING, text),)
-    return state._replace(heavy=state.heavy and load.mass > limit), ()
+        return replace(state, heavy=True), (Announce(Severity.WARNING, text),)
+    return replace(state, heavy=state.heavy and load.mass > limit), ()
 
 
 def _report(settings: PayloadSettings, state: Awareness, load: Load, time_us: int) -> _Told:
@@ -298,4 +299,4 @@ def _report(settings: PayloadSettings, state: Awareness, load: Load, time_us: in
         return state, ()
     std = load.std if state.unrest_us is None else max(load.std, abs(load.mass - state.told))
     report = PayloadReport(time_us, load.mass, std)
-    return state._replace(reported_us=time_us), (report,)
+    return replace(state, reported_us=time_us), (report,)

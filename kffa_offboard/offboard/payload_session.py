@@ -7,8 +7,10 @@ here (`payload.py`), and a release that is refused is taken back.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 from typing import Literal
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.offboard import events, telemetry, trust
 from kffa_offboard.offboard.engage_session import EngageSession
@@ -35,8 +37,7 @@ from kffa_offboard.offboard.tuning import adopt
 GripperAction = Literal["grab", "release"]
 
 
-@dataclass(frozen=True, slots=True)
-class Release:
+class Release(Struct, frozen=True):
     """A release under way: its plan, when the gripper's command is due (None: it is out), when the release
     should show, and the altitude channel's disturbance before it, m/s^2.
     """

@@ -9,7 +9,10 @@ about lift-off and touch-down).
 from __future__ import annotations
 
 from math import floor, pi, sin, sqrt
-from typing import Literal, NamedTuple, TypeAlias
+from typing import Literal, TypeAlias
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.offboard.profile import Profile, plan_profile, profile_altitude
 from kffa_offboard.offboard.segments import (
@@ -83,7 +86,7 @@ def wave(segment: Wave, time_s: float) -> float:
 # --------------------------------------------------------------------------- the player
 
 
-class ScenarioState(NamedTuple):
+class ScenarioState(Struct, frozen=True):
     """Where a scenario is.
 
     Attributes
@@ -113,7 +116,7 @@ class ScenarioState(NamedTuple):
     origin: Offset = (0.0, 0.0)
 
 
-class ScenarioOutput(NamedTuple):
+class ScenarioOutput(Struct, frozen=True):
     """What the scenario wants now.
 
     Attributes
@@ -151,7 +154,7 @@ def begin_takeoff(
         settings.acceleration_m_s2,
         climb_rate,
     )
-    return state._replace(started_s=now_s, profile=profile, near_since_s=None, hold_altitude=altitude)
+    return replace(state, started_s=now_s, profile=profile, near_since_s=None, hold_altitude=altitude)
 
 
 def step_scenario(
@@ -172,7 +175,7 @@ def step_scenario(
         if segment is None or (grounded and isinstance(segment, Takeoff)):
             level = _level(state)
             done = segment is None and len(segments) > 0
-            return state._replace(last_s=now_s), ScenarioOutput(level, tuple(actions), done)
+            return replace(state, last_s=now_s), ScenarioOutput(level, tuple(actions), done)
         if isinstance(segment, Gripper):
             actions.append(segment.action)
             state = _next(state, state.started_s)
@@ -181,7 +184,7 @@ def step_scenario(
             state = begin_takeoff(settings, segment, state, state.started_s, state.hold_altitude, 0.0)
         state, reference, ended_s, fault = _step_segment(settings, segment, state, now_s, altitude)
         if ended_s is None or fault is not None:
-            state = state._replace(last_s=now_s)
+            state = replace(state, last_s=now_s)
             return state, ScenarioOutput(reference, tuple(actions), False, fault)
         state = _next(state, ended_s)
 
@@ -191,7 +194,8 @@ def _level(state: ScenarioState) -> Reference:
 
 
 def _next(state: ScenarioState, ended_s: float) -> ScenarioState:
-    return state._replace(
+    return replace(
+        state,
         segment_index=state.segment_index + 1,
         started_s=ended_s,
         profile=None,
@@ -236,7 +240,7 @@ def _step_move(settings: FlightSettings, segment: Move, state: ScenarioState, no
     elapsed = min(now_s, ends) - state.started_s
     share = profile_altitude(profile, elapsed) / profile.target if profile.target > 0.0 else 0.0
     offset = (state.origin[0] + share * segment.north_m, state.origin[1] - share * segment.east_m)
-    state = state._replace(offset=offset)
+    state = replace(state, offset=offset)
     return state, _level(state), ends if now_s >= ends else None, None
 
 
@@ -247,7 +251,7 @@ def _step_takeoff(settings: FlightSettings, state: ScenarioState, now_s: float, 
     near_since: float | None = now_s if state.near_since_s is None else state.near_since_s
     if elapsed < profile.duration or abs(altitude - profile.target) > settings.arrival_tolerance_m:
         near_since = None
-    state = state._replace(hold_altitude=profile_altitude(profile, elapsed), near_since_s=near_since)
+    state = replace(state, hold_altitude=profile_altitude(profile, elapsed), near_since_s=near_since)
     if near_since is not None and now_s - near_since >= settings.arrival_time_s:
         return state, _level(state), now_s, None
     fault = None
@@ -268,5 +272,5 @@ def _step_land(
     wanted = max(state.hold_altitude - rate * dt, altitude - settings.landing_lead_m)
     # The lead bound may not raise the reference again.
     wanted = min(wanted, state.hold_altitude)
-    state = state._replace(hold_altitude=wanted, descent_rate=rate)
+    state = replace(state, hold_altitude=wanted, descent_rate=rate)
     return state, _level(state), None, None

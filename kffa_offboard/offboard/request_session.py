@@ -6,7 +6,7 @@ them: without a scenario, or in a segment "external".
 
 from __future__ import annotations
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from kffa_offboard.control.retuning import as_before
 from kffa_offboard.offboard import admission, events, external, parameters, rivals, steps, telemetry
@@ -144,7 +144,7 @@ class RequestSession(PayloadSession):
             self._external = replace(self._external, attitude=None)
             self._say(Severity.NOTICE, "no attitude setpoints: level")
         moved = external.hold(self._external, self._flight.scenario, self._captured, time_us)
-        self._flight = self._flight._replace(scenario=moved)
+        self._flight = replace(self._flight, scenario=moved)
 
     def _within_limits(self, time_us: int, directive: Directive) -> Directive:
         """The directive as the guard lets it be followed."""
@@ -168,8 +168,8 @@ class RequestSession(PayloadSession):
         offset = (
             directive.offset if safe.place is None else (safe.place[0] - origin[0], safe.place[1] - origin[1])
         )
-        return directive._replace(
-            reference=(safe.roll, safe.pitch, yaw, safe.altitude + ground), offset=offset
+        return replace(
+            directive, reference=(safe.roll, safe.pitch, yaw, safe.altitude + ground), offset=offset
         )
 
     def _with_attitude_setpoint(self, directive: Directive) -> Directive:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.offboard.events import IntrusionNoticed
 
@@ -22,8 +23,7 @@ PAUSE_US = 1_000_000
 MOST_TEXTS = 8
 
 
-@dataclass(frozen=True, slots=True)
-class Rivals:
+class Rivals(Struct, frozen=True):
     """What was noticed: the last that forbids engaging, when control was fought over, what was said when."""
 
     text: str = ""

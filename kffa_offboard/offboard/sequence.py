@@ -10,9 +10,11 @@ agree, somebody else has decided otherwise, and asking again would fight the pil
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import Enum
 from functools import lru_cache
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.offboard.events import HeartbeatReceived, ModeKind, Output, SetArmed, SetMode
 from kffa_offboard.offboard.settings import SequenceSettings
@@ -30,8 +32,7 @@ def microseconds(seconds: float) -> int:
 # ------------------------------------------------------------------------------ retries
 
 
-@dataclass(frozen=True, slots=True)
-class Retry:
+class Retry(Struct, frozen=True):
     """A request that is repeated until it is accepted or given up.
 
     Attributes
@@ -105,8 +106,7 @@ class EngagePhase(Enum):
     PERSON = "person"
 
 
-@dataclass(frozen=True, slots=True)
-class Engagement:
+class Engagement(Struct, frozen=True):
     """Where engaging is.
 
     Attributes
@@ -131,8 +131,7 @@ class Engagement:
     arm_asked: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class EngageStep:
+class EngageStep(Struct, frozen=True):
     """Outcome: the record, what to send, and at most one of the ends.
 
     Attributes

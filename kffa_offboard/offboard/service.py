@@ -21,8 +21,9 @@ others ask for.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from operator import itemgetter
+
+from msgspec.structs import replace
 
 from kffa_offboard.control import Array
 from kffa_offboard.offboard import admission, echo, events, telemetry, trust

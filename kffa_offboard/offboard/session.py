@@ -6,8 +6,9 @@ control steps. Everything that changes `state` is here and in `engage_session.py
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import nan
+
+from msgspec.structs import replace
 
 from kffa_offboard.offboard import admission, events, sequence, telemetry
 from kffa_offboard.offboard.echo import Echo
@@ -236,7 +237,7 @@ class Session:
             land = SetMode(ModeKind.LAND)
             retry = begin_retry(land, time_us, timing.hold_retry_s, timing.hold_timeout_s)
         assert self._flight is not None
-        self._flight = self._flight._replace(phase=Phase.GROUND)
+        self._flight = replace(self._flight, phase=Phase.GROUND)
         self._begin_release(time_us, retry, outcome)
 
     def _release_in_air(self, time_us: int, outcome: Finished) -> None:

@@ -10,7 +10,9 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from math import ceil, cos, isfinite, nan, pi
-from typing import NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.offboard.events import (
     AttitudeReceived,
@@ -29,7 +31,7 @@ _LATELY_US = 250_000
 LONGEST_LATENCY_S = 10.0
 
 
-class Stream(NamedTuple):
+class Stream(Struct, frozen=True):
     """Arrival of one kind of sample.
 
     Attributes
@@ -48,7 +50,7 @@ class Stream(NamedTuple):
     dropped: int = 0
 
 
-class Telemetry(NamedTuple):
+class Telemetry(Struct, frozen=True):
     """The last of everything, and since when it has been flowing without a break."""
 
     attitude: AttitudeReceived | None = None
@@ -68,7 +70,7 @@ class Telemetry(NamedTuple):
     invalid: int = 0
 
 
-class Sample(NamedTuple):
+class Sample(Struct, frozen=True):
     """Outcome of one sample: accepted with the step `dt` [s] (0 for the first), dropped, or a fault."""
 
     accepted: bool
@@ -97,7 +99,7 @@ def _sample(
         return _accept(stream, sample_us, arrival_us), _FIRST
     dt = (sample_us - stream.sample_us) * 1e-6
     if dt <= 0.0:
-        stream = stream._replace(repeats=stream.repeats + 1, dropped=stream.dropped + 1)
+        stream = replace(stream, repeats=stream.repeats + 1, dropped=stream.dropped + 1)
         if stream.repeats > settings.repeated_samples_max:
             return stream, Sample(False, fault=f"{stream.repeats} samples with a standing clock")
         return stream, Sample(False)
@@ -130,7 +132,7 @@ def receive_attitude(
 ) -> tuple[Telemetry, Sample]:
     """Take in one attitude sample."""
     if not all(map(isfinite, (*event.attitude, *event.body_rates))):
-        return known._replace(invalid=known.invalid + 1), Sample(False, fault="attitude is not finite")
+        return replace(known, invalid=known.invalid + 1), Sample(False, fault="attitude is not finite")
     stream, sample = _sample(
         settings, known.attitude_stream, event.sample_time_us, time_us, settings.timeout_s
     )
@@ -140,7 +142,7 @@ def receive_attitude(
             return known, Sample(False, fault=fault)
     steady_us = _steady_since(settings, known, time_us)
     newest = event if sample.accepted else known.attitude
-    return known._replace(attitude=newest, attitude_stream=stream, steady_since_us=steady_us), sample
+    return replace(known, attitude=newest, attitude_stream=stream, steady_since_us=steady_us), sample
 
 
 def receive_position(
@@ -152,7 +154,7 @@ def receive_position(
 ) -> tuple[Telemetry, Sample]:
     """Take in one position sample."""
     if not all(map(isfinite, (*event.position, *event.velocity))):
-        return known._replace(invalid=known.invalid + 1), Sample(False, fault="position is not finite")
+        return replace(known, invalid=known.invalid + 1), Sample(False, fault="position is not finite")
     stream, sample = _sample(
         settings, known.position_stream, event.sample_time_us, time_us, settings.position_timeout_s
     )
@@ -163,7 +165,7 @@ def receive_position(
             return known, Sample(False, fault=f"altitude jumped {jump:.2f} m, {allowed:.2f} possible")
     steady_us = _steady_since(settings, known, time_us)
     newest = event if sample.accepted else known.position
-    return known._replace(position=newest, position_stream=stream, steady_since_us=steady_us), sample
+    return replace(known, position=newest, position_stream=stream, steady_since_us=steady_us), sample
 
 
 def before_silence(settings: TelemetrySettings, known: Telemetry, dt: float) -> bool:
@@ -190,7 +192,8 @@ def _steady_since(settings: TelemetrySettings, known: Telemetry, time_us: int) -
 
 def forget_samples(known: Telemetry) -> Telemetry:
     """Begin anew after a fault outside flight; counts and everything but the samples stay."""
-    return known._replace(
+    return replace(
+        known,
         attitude=None,
         position=None,
         attitude_stream=Stream(dropped=known.attitude_stream.dropped),
@@ -201,19 +204,19 @@ def forget_samples(known: Telemetry) -> Telemetry:
 
 def forget_heartbeat(known: Telemetry) -> Telemetry:
     """The autopilot is silent: mode and arming state are unknown."""
-    return known._replace(heartbeat=None, armed_since_us=None)
+    return replace(known, heartbeat=None, armed_since_us=None)
 
 
 def receive_landed(known: Telemetry, time_us: int, event: LandedStateReported) -> Telemetry:
     """Take in the landed state."""
-    return known._replace(on_ground=event.on_ground, landed_us=time_us)
+    return replace(known, on_ground=event.on_ground, landed_us=time_us)
 
 
 def receive_heartbeat(known: Telemetry, time_us: int, event: HeartbeatReceived) -> Telemetry:
     """Take in a heartbeat; notes since when the vehicle is armed."""
     since = known.armed_since_us if known.armed_since_us is not None else time_us
-    return known._replace(
-        heartbeat=event, heartbeat_us=time_us, armed_since_us=since if event.armed else None
+    return replace(
+        known, heartbeat=event, heartbeat_us=time_us, armed_since_us=since if event.armed else None
     )
 
 
@@ -231,14 +234,14 @@ def receive_target(known: Telemetry, time_us: int, event: TargetReported) -> Tel
     attitude = event.attitude if event.attitude is not None and all(map(isfinite, event.attitude)) else None
     repaired = TargetReported(event.sample_time_us, thrust, rates, attitude)
     invalid = known.invalid + (0 if repaired == event else 1)
-    return known._replace(target=repaired, target_us=time_us, invalid=invalid)
+    return replace(known, target=repaired, target_us=time_us, invalid=invalid)
 
 
 def receive_throttle(known: Telemetry, time_us: int, event: ThrottleReported) -> Telemetry:
     """Take in the throttle; one that cannot be is counted and ignored."""
     if not _is_thrust(event.throttle):
-        return known._replace(invalid=known.invalid + 1)
-    return known._replace(throttle=event.throttle, throttle_us=time_us)
+        return replace(known, invalid=known.invalid + 1)
+    return replace(known, throttle=event.throttle, throttle_us=time_us)
 
 
 def reported_target(settings: TelemetrySettings, known: Telemetry, time_us: int) -> TargetReported | None:

@@ -17,7 +17,9 @@ Pure functions over a frozen `Trust`; a fault is a line for people.
 from __future__ import annotations
 
 from math import cos, exp, hypot, sin, tan
-from typing import NamedTuple
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.offboard.events import AttitudeReceived, PositionReceived, Vector3
 from kffa_offboard.offboard.sequence import microseconds
@@ -57,14 +59,14 @@ PASSED_OVER_MAX_S = 0.15
 _STEEPEST_RAD = 1.2  # Euler rates grow beyond bounds towards 90 degrees of pitch
 
 
-class Still(NamedTuple):
+class Still(Struct, frozen=True):
     """Values and when they arrived first, us."""
 
     values: tuple[float, ...] = ()
     since_us: int = 0
 
 
-class Delay(NamedTuple):
+class Delay(Struct, frozen=True):
     """Arrival time less sample time, us: smallest of this and of the former window; since when late."""
 
     window_us: int | None = None
@@ -73,7 +75,7 @@ class Delay(NamedTuple):
     late_since_us: int | None = None
 
 
-class AttitudeTrust(NamedTuple):
+class AttitudeTrust(Struct, frozen=True):
     """What is remembered of the attitude.
 
     Attributes
@@ -91,7 +93,7 @@ class AttitudeTrust(NamedTuple):
     quick: tuple[float, float] = (0.0, 0.0)
 
 
-class PositionTrust(NamedTuple):
+class PositionTrust(Struct, frozen=True):
     """What is remembered of the position.
 
     Attributes
@@ -108,7 +110,7 @@ class PositionTrust(NamedTuple):
     odd_since_us: int | None = None
 
 
-class Trust(NamedTuple):
+class Trust(Struct, frozen=True):
     """What is remembered of telemetry for judging it."""
 
     attitude: AttitudeTrust = AttitudeTrust()
@@ -161,7 +163,7 @@ def watch_position(
     if odd is not None:
         since_us = event.sample_time_us if before.odd_since_us is None else before.odd_since_us
         lasts = event.sample_time_us - since_us >= microseconds(PASSED_OVER_MAX_S)
-        trust = Trust(trust.attitude, before._replace(odd_since_us=since_us))
+        trust = Trust(trust.attitude, replace(before, odd_since_us=since_us))
         return trust, False, odd if lasts else None
     still = _stand_still(before.still, (*event.position, *event.velocity), time_us)
     slow, quick = _height_mismatch(before, event)
@@ -176,7 +178,7 @@ def watch_position(
 def pass_over(known: Telemetry) -> Telemetry:
     """What is known, with one position sample more that was dropped."""
     stream = known.position_stream
-    return known._replace(position_stream=stream._replace(dropped=stream.dropped + 1))
+    return replace(known, position_stream=replace(stream, dropped=stream.dropped + 1))
 
 
 def _stand_still(still: Still, values: tuple[float, ...], time_us: int) -> Still:
@@ -196,7 +198,7 @@ def _follow_delay(
         fault = None
         if time_us - since_us >= microseconds(settings.timeout_s):
             fault = f"attitude comes {excess_us * 1e-6:.2f} s later than before"
-        return state._replace(late_since_us=since_us), fault
+        return replace(state, late_since_us=since_us), fault
     if time_us - state.window_us >= DELAY_WINDOW_US:
         return Delay(time_us, delay_us, state.smallest_us), None
     return Delay(state.window_us, min(state.smallest_us, delay_us), state.former_us), None

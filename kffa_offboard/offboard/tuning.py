@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Protocol
 
+from msgspec.structs import replace
+
 from kffa_offboard.control.retuning import retuned
 from kffa_offboard.offboard.loop import LoopState
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -77,8 +79,8 @@ def adopt(loop: LoopState | None, before: ServiceSettings, after: ServiceSetting
         raise ValueError("what is commanded cannot be changed in flight")
     if loop is None:
         return None
-    loop = loop._replace(controller=retuned(before.controller, after.controller, loop.controller))
+    loop = replace(loop, controller=retuned(before.controller, after.controller, loop.controller))
     if loop.horizontal is None or before.position is None or after.position is None:
         return loop
     rings = before.position.ring.controller, after.position.ring.controller
-    return loop._replace(horizontal=loop.horizontal._replace(ring=retuned(*rings, loop.horizontal.ring)))
+    return replace(loop, horizontal=replace(loop.horizontal, ring=retuned(*rings, loop.horizontal.ring)))

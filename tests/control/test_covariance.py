@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from msgspec import structs
 
 from kffa_offboard.control import kalman
 from kffa_offboard.control.covariance import Spread, at_rest, corrected, later
@@ -146,7 +147,9 @@ def test_the_literal_noise_is_added_in_every_step_and_the_others_grows_with_time
         spread = state.spreads[0]
         for _ in range(3):
             spread = later(parameters, MODEL, 0, spread, 0.01)
-        grown = kalman.covariances(parameters, MODEL, state._replace(spreads=(spread, state.spreads[1])))[0]
+        grown = kalman.covariances(
+            parameters, MODEL, structs.replace(state, spreads=(spread, state.spreads[1]))
+        )[0]
         matrix = state.spreads[0].covariance.matrix
         for _ in range(3):
             f, noise = exact_model(parameters, MODEL, 0, 0.01)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from kffa_offboard.control import controllers
 from kffa_offboard.control.design import DesignSettings, design
@@ -61,7 +62,9 @@ def test_a_hovering_vehicle_does_not_feel_other_numbers(name, change):
 def test_another_plant_model_alone_would_be_felt():
     before, state, command = hovering("kffa-ladrc")
     after = design("kffa-ladrc", replace(BEFORE, b0=np.array([12.5, 12.5, 3.3, 25.0])))
-    heavy = state._replace(observer=state.observer._replace(disturbance=np.array([0.0, 0.0, 0.0, -10.0])))
+    heavy = structs.replace(
+        state, observer=structs.replace(state.observer, disturbance=np.array([0.0, 0.0, 0.0, -10.0]))
+    )
     _, output = controllers.step(after, heavy, INPUTS, H)
     assert abs(output.command[3] - command[3]) > 0.05
     _, output = controllers.step(after, retuned(before, after, heavy), INPUTS, H)
@@ -71,7 +74,7 @@ def test_another_plant_model_alone_would_be_felt():
 def test_a_bandwidth_changes_the_command_by_what_it_makes_of_the_present_error():
     before, state, _ = hovering("ladrc")
     after = design("ladrc", replace(BEFORE, omega_c=np.array([8.0, 8.0, 2.5, 4.0])))
-    low = INPUTS._replace(measurement=AT_REST - np.array([0.0, 0.0, 0.0, 0.002]))
+    low = structs.replace(INPUTS, measurement=AT_REST - np.array([0.0, 0.0, 0.0, 0.002]))
     commands = []
     for parameters in (before, after):
         _, output = controllers.step(parameters, retuned(before, parameters, state), low, H)
@@ -87,7 +90,7 @@ def test_a_delay_can_grow_and_shrink_while_commands_are_under_way():
         changed = design("kffa-ladrc", replace(BEFORE, delay=np.full(4, delay)))
         state, parameters = retuned(parameters, changed, state), changed
         for _ in range(20):
-            noisy = INPUTS._replace(measurement=AT_REST + rng.normal(0.0, 0.01, 4))
+            noisy = structs.replace(INPUTS, measurement=AT_REST + rng.normal(0.0, 0.01, 4))
             state, output = controllers.step(parameters, state, noisy, H)
             assert np.all(np.isfinite(output.command))
         assert len(state.actuator.ages) <= max(0.5, delay) / H + 2

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from msgspec import Struct
+from msgspec.structs import astuple
 
 from kffa_offboard.config import bundled, load
 from kffa_offboard.control import composition, controllers, straight
@@ -29,6 +31,8 @@ VARIANTS = {
 
 def leaves(value):
     """All numbers of a state or an output, flat, whether of one vehicle or of a batch of one."""
+    if isinstance(value, Struct):
+        value = astuple(value)
     if isinstance(value, tuple):
         return np.concatenate([leaves(part) for part in value]) if value else np.empty(0)
     if isinstance(value, Covariance):
@@ -38,8 +42,8 @@ def leaves(value):
 
 def as_batch(value, channels):
     """The same for a batch of one flight, which is never written out."""
-    if isinstance(value, tuple) and hasattr(value, "_fields"):
-        return type(value)(*(as_batch(part, channels) for part in value))
+    if isinstance(value, Struct):
+        return type(value)(*(as_batch(part, channels) for part in astuple(value)))
     one_vehicle = isinstance(value, np.ndarray) and value.shape[-1:] == (channels,)
     return value[..., None] if one_vehicle else value
 

@@ -5,6 +5,7 @@ import json
 import math
 
 import pytest
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard import cli
@@ -47,7 +48,7 @@ def test_a_control_step_is_one_object_with_every_signal_of_every_channel():
 
 
 def test_what_is_not_a_number_is_left_out_because_plotjuggler_stops_at_it():
-    odd = STEP._replace(latency_s=math.nan, disturbance=(math.inf, 0.0, -math.inf, 1.0))
+    odd = replace(STEP, latency_s=math.nan, disturbance=(math.inf, 0.0, -math.inf, 1.0))
     (step,) = sent(odd)
     assert not {"latency_s", "roll/disturbance", "yaw/disturbance"} & set(step)
     assert step["altitude/disturbance"] == 1.0
@@ -55,7 +56,7 @@ def test_what_is_not_a_number_is_left_out_because_plotjuggler_stops_at_it():
 
 def test_place_load_and_vehicle_have_names_of_their_own():
     step, load = sent(
-        STEP._replace(position_reference=(1.5, -2.0)), PayloadReport(START_US, 5.0, 0.25), vehicle="north"
+        replace(STEP, position_reference=(1.5, -2.0)), PayloadReport(START_US, 5.0, 0.25), vehicle="north"
     )
     assert (step["north/x/reference"], step["north/y/reference"]) == (1.5, -2.0)
     assert load == {"timestamp": START_US / 1e6, "north/payload/mass_kg": 5.0, "north/payload/std_kg": 0.25}
@@ -90,7 +91,7 @@ def named_by_plotjuggler(datagram):
 
 
 def test_a_log_is_exported_with_the_times_of_the_live_stream_and_plotjuggler_s_names_for_it(tmp_path, capsys):
-    steps = [STEP, STEP._replace(time_us=START_US + 10_001, latency_s=math.nan)]
+    steps = [STEP, replace(STEP, time_us=START_US + 10_001, latency_s=math.nan)]
     log = write_log(tmp_path / "flight.tlog", steps)
     assert exported(log) == 0
     rows = rows_of(tmp_path / "flight.csv")
@@ -104,7 +105,7 @@ def test_a_log_is_exported_with_the_times_of_the_live_stream_and_plotjuggler_s_n
 
 def test_the_export_goes_on_through_the_further_files_of_a_flight(tmp_path):
     write_log(tmp_path / "long.tlog", [STEP])
-    write_log(tmp_path / "long-2.tlog", [STEP._replace(time_us=START_US + 10_000)], part=2)
+    write_log(tmp_path / "long-2.tlog", [replace(STEP, time_us=START_US + 10_000)], part=2)
     assert exported(tmp_path / "long.tlog", "--out", tmp_path / "whole.csv") == 0
     assert len(rows_of(tmp_path / "whole.csv")) == 2
 

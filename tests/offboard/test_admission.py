@@ -5,6 +5,7 @@ from math import nan
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from kffa_offboard.control.observer import ObserverParameters
 from kffa_offboard.offboard import admission, events
@@ -129,7 +130,7 @@ def test_leaving_the_fence_is_a_failsafe(fake):
         if not isinstance(event, events.PositionReceived):
             return event
         away[0] += 0.1
-        return event._replace(position=(away[0], 0.0, event.position[2]))
+        return structs.replace(event, position=(away[0], 0.0, event.position[2]))
 
     flight.change = drift
     flight.run(3.0, lambda: flight.service.state is State.FAILSAFE)
@@ -148,7 +149,7 @@ def test_rates_out_of_limits_are_a_failsafe_within_the_same_call(fake, kind, cha
     flight = ready(fake)
     flight.give(events.EngageRequested())
     flight.run_to(State.ENGAGED)
-    flight.change = lambda event: event._replace(**change) if isinstance(event, kind) else event
+    flight.change = lambda event: structs.replace(event, **change) if isinstance(event, kind) else event
     flight.tick()
     assert flight.service.state is State.FAILSAFE and f"failsafe: {reason}" in flight.texts
 
@@ -185,7 +186,7 @@ def test_whether_the_vehicle_stands_is_told_only_if_it_is_known(fake, share, cli
         on_ground=landed,
     )
     assert admission.grounded(settings, known, 0) is grounded
-    disarmed = known._replace(heartbeat=replace(known.heartbeat, armed=False))
+    disarmed = structs.replace(known, heartbeat=structs.replace(known.heartbeat, armed=False))
     assert admission.grounded(settings, disarmed, 0) is True, "its motors stand"
 
 
@@ -243,8 +244,8 @@ def test_estimates_have_settled_when_they_are_what_is_measured(fake, climbs, now
     """The observer begins at rest at what is seen first, here with the climb rate that it is told."""
     loop = begin_loop(fake.settings(), seen(), 0)
     observer = loop.controller.observer
-    observer = observer._replace(rate=observer.rate + np.array([0.0, 0.0, 0.0, climbs]))
-    loop = loop.with_controller(loop.controller._replace(observer=observer))
+    observer = structs.replace(observer, rate=observer.rate + np.array([0.0, 0.0, 0.0, climbs]))
+    loop = loop.with_controller(structs.replace(loop.controller, observer=observer))
     said = admission.unsettled(seen(**now), loop)
     assert said == (None if reason is None else f"estimates are settling: {reason}")
 

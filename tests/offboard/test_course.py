@@ -4,6 +4,7 @@ from dataclasses import replace
 from math import inf, pi
 
 import pytest
+from msgspec import structs
 
 from kffa_offboard.offboard import events, external
 from kffa_offboard.offboard.course import Bounds, course_problem
@@ -101,7 +102,7 @@ def test_a_time_that_goes_back_moves_no_height():
 
 def test_a_wish_within_limits_is_not_touched():
     wish = Wish(0.1, -0.2, 5.0 + pi, (3.0, -4.0))
-    assert check_wish(LIMITS, wish, wish._replace(altitude=wish.altitude - 0.001), 0.01)[0] == wish
+    assert check_wish(LIMITS, wish, structs.replace(wish, altitude=wish.altitude - 0.001), 0.01)[0] == wish
 
 
 def test_a_set_point_that_runs_away_is_held_at_the_limit_and_said(fake):
@@ -110,7 +111,9 @@ def test_a_set_point_that_runs_away_is_held_at_the_limit_and_said(fake):
     flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),), limits=limits), fake.airborne())
     flight.run_to(State.ENGAGED)
     inner = flight.service._flight
-    flight.service._flight = inner._replace(scenario=inner.scenario._replace(hold_altitude=30.0))
+    flight.service._flight = structs.replace(
+        inner, scenario=structs.replace(inner.scenario, hold_altitude=30.0)
+    )
     flight.run(4.0)
     assert "set point held at 6 m of height" in flight.texts
     references = [signals.reference[3] for _, signals in flight.sent(Signals)]
@@ -125,7 +128,7 @@ def test_estimates_that_have_not_settled_forbid_engaging(fake):
     rate = observer.rate.copy()
     rate[3] += 2.0
     flight.service._loop = loop.with_controller(
-        loop.controller._replace(observer=observer._replace(rate=rate))
+        structs.replace(loop.controller, observer=structs.replace(observer, rate=rate))
     )
     flight.give(events.EngageRequested())
     assert flight.texts[-1].startswith("not engaged: estimates are settling: climb rate off by 2")

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from kffa_offboard.control import actuator
 from kffa_offboard.control.payload import PayloadParameters
@@ -387,8 +388,8 @@ def test_a_load_that_comes_while_the_first_estimate_settles_is_named_whole(fake)
 def changes_of(fake, changes, told=0.0):
     """What is said about decided changes: (time [s], load after it, change)."""
     made = payload_settings(fake)
-    state = begin_awareness(PayloadSample(0, 0.01, fake.hover, (0.0, 0.0, 0.0), 0.0, True, True))._replace(
-        told=told
+    state = structs.replace(
+        begin_awareness(PayloadSample(0, 0.01, fake.hover, (0.0, 0.0, 0.0), 0.0, True, True)), told=told
     )
     said = []
     mass = told

@@ -5,6 +5,7 @@ from math import radians
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from kffa_offboard.control.position import PositionDesign, acceleration_of, design_ring
 from kffa_offboard.offboard import events
@@ -44,7 +45,7 @@ class Drifter:
         self.history.append(tuple(self.place))
         (_, _, z), (_, _, climb) = event.position, event.velocity
         tiny = 1e-9 * (len(self.history) % 2)  # no sensor repeats itself to the last bit
-        return event._replace(position=(*(self.place + tiny), z), velocity=(*self.velocity, climb))
+        return structs.replace(event, position=(*(self.place + tiny), z), velocity=(*self.velocity, climb))
 
 
 def flight_of(fake, settings, vehicle=None, **changes):
@@ -108,7 +109,7 @@ def test_who_does_not_fly_is_told_what_the_attitude_gives_and_on_a_slope_nothing
     assert state.captured == pytest.approx((4.0, 2.0), abs=0.05)
     assert reference[2:] == (0.5, 3.0)
     assert reference[:2] == pytest.approx((0.0, 0.1) if ground_thrust is None else (0.0, 0.0), abs=0.01)
-    elsewhere = directive._replace(align=False, offset=(3.0, 0.0))
+    elsewhere = structs.replace(directive, align=False, offset=(3.0, 0.0))
     for _ in range(50):
         state, _ = step_horizontal(settings, state, known, elsewhere, False, True, 0.01)
     assert state.ring.actuator.commands[-1] == pytest.approx([felt, 0.0])  # not what the ring would do
@@ -259,7 +260,7 @@ def test_a_speed_that_cannot_be_is_a_failsafe_within_the_same_call(fake):
         event = honest(event)
         if not isinstance(event, events.PositionReceived):
             return event
-        return event._replace(velocity=(0.0, -21.0, event.velocity[2]))
+        return structs.replace(event, velocity=(0.0, -21.0, event.velocity[2]))
 
     flight.change = gale
     flight.tick()

@@ -1,8 +1,7 @@
 """Requests with retries, and the order of engaging, step by step: what is asked when, and who has decided."""
 
-from dataclasses import replace
-
 import pytest
+from msgspec.structs import replace
 
 from kffa_offboard.offboard import sequence
 from kffa_offboard.offboard.events import HeartbeatReceived, ModeKind, SetArmed, SetMode

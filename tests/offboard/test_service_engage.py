@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, SetArmed, SetMode
@@ -268,7 +269,7 @@ def test_engaging_is_refused_with_the_reason(fake, changes, vehicle, words):
 def test_a_landed_state_that_the_thrust_contradicts_does_not_engage(fake):
     flight = fake.Lockstep(fake.settings(engage=False), fake.airborne()).run_to(State.READY)
     flight.change = lambda event: (
-        replace(event, on_ground=True) if isinstance(event, events.LandedStateReported) else event
+        structs.replace(event, on_ground=True) if isinstance(event, events.LandedStateReported) else event
     )
     flight.run(0.5)
     flight.give(events.EngageRequested())
@@ -356,7 +357,7 @@ def test_a_reported_thrust_that_is_none_does_not_move_the_vehicle(fake, reported
     """A throttle in percent, say: taken for thrust, it engaged with 0.95 and climbed to the limits."""
     flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),)), fake.airborne())
     flight.change = lambda event: (
-        event._replace(thrust=reported) if isinstance(event, events.TargetReported) else event
+        structs.replace(event, thrust=reported) if isinstance(event, events.TargetReported) else event
     )
     flight.run_to(State.ENGAGED)
     flight.run(3.0)

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, SetArmed, SetMode
@@ -58,7 +59,7 @@ def test_the_takeoff_altitude_counts_from_the_ground_where_it_stood(fake):
     flight = fake.Lockstep(fake.settings(scenario=(Takeoff(2.0), Hold(100.0))))
     drift = [0.0]
     flight.change = lambda event: (
-        event._replace(position=(0.0, 0.0, event.position[2] + drift[0]))
+        replace(event, position=(0.0, 0.0, event.position[2] + drift[0]))
         if isinstance(event, events.PositionReceived)
         else event
     )
@@ -74,7 +75,7 @@ def test_a_drifting_estimate_on_the_ground_is_no_liftoff(fake):
     flight.run(1.1)
     start = flight.time_us
     flight.change = lambda event: (
-        event._replace(position=(0.0, 0.0, event.position[2] + (flight.time_us - start) * 0.3e-6))
+        replace(event, position=(0.0, 0.0, event.position[2] + (flight.time_us - start) * 0.3e-6))
         if isinstance(event, events.PositionReceived)
         else event
     )

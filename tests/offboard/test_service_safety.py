@@ -5,6 +5,7 @@ from math import nan
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from kffa_offboard.control import controllers
 from kffa_offboard.offboard import events
@@ -66,7 +67,7 @@ def test_a_daemon_that_hung_while_it_asked_for_land_mode_asks_no_more(fake):
 
 def test_another_mode_of_the_same_kind_is_the_pilots_too(fake):
     flight = fake.hovering()
-    flight.give(replace(flight.vehicle.heartbeat(), custom_mode=20, mode_name="GUIDED_NOGPS"))
+    flight.give(structs.replace(flight.vehicle.heartbeat(), custom_mode=20, mode_name="GUIDED_NOGPS"))
     assert flight.texts == ["control given up: mode GUIDED_NOGPS"]
     assert_silent(flight)
 
@@ -192,7 +193,7 @@ def test_a_frozen_stream_is_a_failsafe(fake):
     flight = fake.hovering()
     frozen = flight.time_us
     flight.change = lambda event: (
-        event._replace(sample_time_us=frozen) if isinstance(event, events.AttitudeReceived) else event
+        structs.replace(event, sample_time_us=frozen) if isinstance(event, events.AttitudeReceived) else event
     )
     flight.run(0.3)
     assert flight.service.state is State.FAILSAFE
@@ -202,7 +203,7 @@ def test_a_frozen_stream_is_a_failsafe(fake):
 def test_single_repeated_samples_are_tolerated(fake):
     flight = fake.hovering()
     flight.change = lambda event: (
-        event._replace(sample_time_us=event.sample_time_us - event.sample_time_us % 20_000)
+        structs.replace(event, sample_time_us=event.sample_time_us - event.sample_time_us % 20_000)
         if isinstance(event, events.AttitudeReceived)
         else event
     )
@@ -223,7 +224,7 @@ def test_single_repeated_samples_are_tolerated(fake):
 )
 def test_what_cannot_be_true_is_a_failsafe_within_the_same_call(fake, kind, changes, reason):
     flight = fake.hovering()
-    flight.change = lambda event: event._replace(**changes) if isinstance(event, kind) else event
+    flight.change = lambda event: structs.replace(event, **changes) if isinstance(event, kind) else event
     flight.tick()
     assert flight.service.state is State.FAILSAFE
     assert flight.texts[0].startswith(f"failsafe: {reason[:15]}")
@@ -242,7 +243,7 @@ def test_tilt_out_of_limits_is_a_failsafe(fake):
         if not isinstance(event, events.AttitudeReceived):
             return event
         rolling[0] += 0.05
-        return event._replace(attitude=(rolling[0], 0.0, 0.0), body_rates=(5.0, 0.0, 0.0))
+        return structs.replace(event, attitude=(rolling[0], 0.0, 0.0), body_rates=(5.0, 0.0, 0.0))
 
     flight.change = roll
     flight.run(0.5)
@@ -321,7 +322,7 @@ def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeyp
 
     def broken(*arguments):
         state, output = honest(*arguments)
-        return state, output._replace(command=np.array([0.0, nan, 0.0, 0.4]))
+        return state, structs.replace(output, command=np.array([0.0, nan, 0.0, 0.4]))
 
     monkeypatch.setattr(controllers, "step", broken)
     flight.tick()
@@ -332,7 +333,7 @@ def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeyp
 def test_a_takeoff_that_gets_stuck_is_a_failsafe(fake):
     flight = fake.Lockstep(fake.settings(scenario=(Takeoff(5.0),)), fake.airborne()).run_to(State.ENGAGED)
     flight.change = lambda event: (
-        event._replace(position=(0.0, 0.0, 3.0), velocity=(0.0, event.velocity[1], 0.0))
+        structs.replace(event, position=(0.0, 0.0, 3.0), velocity=(0.0, event.velocity[1], 0.0))
         if isinstance(event, events.PositionReceived)
         else event
     )
@@ -352,7 +353,7 @@ def test_an_autopilot_that_restarts_is_observed_anew(fake):
     flight = fake.Lockstep(fake.settings(engage=False)).run_to(State.READY)
     earlier = 4_000_000
     flight.change = lambda event: (
-        event._replace(sample_time_us=event.sample_time_us - earlier)
+        structs.replace(event, sample_time_us=event.sample_time_us - earlier)
         if isinstance(event, (events.AttitudeReceived, events.PositionReceived))
         else event
     )

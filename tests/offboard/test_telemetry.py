@@ -3,6 +3,7 @@
 from math import inf, isnan, nan
 
 import pytest
+from msgspec.structs import replace
 
 from kffa_offboard.offboard import telemetry
 from kffa_offboard.offboard.events import (
@@ -376,7 +377,7 @@ def arrived(attitude_hz, position_hz, steady_since_us=0):
         (arrived(40, 19), "position telemetry 19 Hz, 20 needed"),
         (arrived(40, 20, steady_since_us=1), "estimates are settling"),
         (arrived(40, 20, steady_since_us=None), "estimates are settling"),
-        (arrived(40, 20)._replace(heartbeat=None), "no heartbeat"),
+        (replace(arrived(40, 20), heartbeat=None), "no heartbeat"),
     ],
 )
 def test_it_is_ready_with_a_heartbeat_enough_samples_and_a_second_of_them(known, reason):
