@@ -9,7 +9,7 @@ or of the autopilot's inner loop. No counterpart in the paper, whose actuators a
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -66,6 +66,27 @@ def send(state: ActuatorState, command: Array, after: float = 0.0) -> ActuatorSt
     while ages[-1] <= -after:
         ages, kept = ages[:-1], kept[:-1]
     return ActuatorState((*ages, -after), np.concatenate((kept, command[None])), state.lagged)
+
+
+class Line(Struct, frozen=True):
+    """Commands under way on one channel of one vehicle: `ActuatorState` in plain floats."""
+
+    ages: tuple[float, ...]
+    commands: tuple[float, ...]
+    lagged: float
+
+
+def initial_line(command: float) -> Line:
+    """`command` has been acting for ever."""
+    return Line((np.inf,), (command,), command)
+
+
+def send_one(line: Line, command: float) -> Line:
+    """Put a command in the queue at this moment; one of this moment is replaced."""
+    ages, kept = line.ages, line.commands
+    while ages[-1] <= 0.0:
+        ages, kept = ages[:-1], kept[:-1]
+    return Line((*ages, 0.0), (*kept, command), line.lagged)
 
 
 NOW = np.zeros(())
@@ -157,6 +178,25 @@ def step(parameters: ActuatorParameters, state: ActuatorState, dt: float) -> tup
     acted, lagged = lagging(average(parts, state.commands), held, decay, state.lagged)
     over = count_over(parameters, ages)
     return ActuatorState(kept(ages, over), state.commands[over:], lagged), acted
+
+
+@lru_cache(maxsize=256)
+def _window_of_one(parameters: ActuatorParameters, dt: float) -> tuple[float, float, float, float]:
+    delay, span, held, decay = (number.item() for number in window(parameters, NOW, dt, 1))
+    return delay, span, held, decay
+
+
+def step_one(parameters: ActuatorParameters, line: Line, dt: float) -> tuple[Line, float]:
+    """`step` for one channel of one vehicle: jitter makes ages new in each step."""
+    delay, span, held, decay = _window_of_one(parameters, dt)
+    ages = aged(line.ages, dt)
+    since = [0.0 if age <= delay else span if age - delay >= span else age - delay for age in ages]
+    mean = 0.0
+    for begun, ended, command in zip(since, (*since[1:], 0.0), line.commands, strict=True):
+        mean += (begun - ended) / span * command
+    transient = line.lagged - mean
+    over = count_over(parameters, ages)
+    return Line(kept(ages, over), line.commands[over:], mean + decay * transient), mean + held * transient
 
 
 def aged(ages: tuple[float, ...], dt: float) -> tuple[float, ...]:

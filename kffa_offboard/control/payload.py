@@ -15,7 +15,7 @@ sum of the normalised innovations (E. S. Page, "Continuous inspection schemes", 
 alarm opens the covariance, so that the filter finds the new mass at once; only a change that is then
 clearly there is reported.
 
-All arrays are scalars ``()`` for one vehicle or ``(N,)`` for a batch.
+Numbers are floats for one vehicle, arrays ``(N,)`` for a batch.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from dataclasses import dataclass, field, fields
 from functools import lru_cache
 from math import exp, isinf
 from operator import attrgetter
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 from msgspec import Struct
@@ -35,6 +35,9 @@ from kffa_offboard.control import Array, BoolArray, actuator
 from kffa_offboard.control.tracing import Tape, compiled
 
 GRAVITY = 9.80665
+
+Numbers: TypeAlias = float | Array
+"""One vehicle's, or a batch's ``(N,)``."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +106,7 @@ class PayloadState(Struct, frozen=True):
 
     Attributes
     ----------
-    thrust : commands under way; its arrays are ``(1,)`` or ``(1, N)``
+    thrust : commands under way; the arrays of a batch are ``(1, N)``
     acted : mean thrust of the last step
     rate, ratio : climb rate, m/s, and empty over total mass
     rate_variance, covariance, ratio_variance : of the two
@@ -112,17 +115,17 @@ class PayloadState(Struct, frozen=True):
     suspected : s since the alarm; infinite without one
     """
 
-    thrust: actuator.ActuatorState
-    acted: Array
-    rate: Array
-    ratio: Array
-    rate_variance: Array
-    covariance: Array
-    ratio_variance: Array
-    rising: Array
-    falling: Array
-    settled: Array
-    suspected: Array
+    thrust: actuator.ActuatorState | actuator.Line
+    acted: Numbers
+    rate: Numbers
+    ratio: Numbers
+    rate_variance: Numbers
+    covariance: Numbers
+    ratio_variance: Numbers
+    rising: Numbers
+    falling: Numbers
+    settled: Numbers
+    suspected: Numbers
 
 
 class PayloadEstimate(Struct, frozen=True):
@@ -134,26 +137,26 @@ class PayloadEstimate(Struct, frozen=True):
     change : kg, change of load that has just been decided on; 0 in all other steps
     """
 
-    mass: Array
-    std: Array
-    change: Array
+    mass: Numbers
+    std: Numbers
+    change: Numbers
 
 
-def initial_state(thrust: Array, rate: Array) -> PayloadState:
-    """Nothing is known of the load; `thrust` has been acting for ever; shapes ``()`` or ``(N,)``."""
+def initial_state(thrust: Numbers, rate: Numbers) -> PayloadState:
+    """Nothing is known of the load; `thrust` has been acting for ever; floats or ``(N,)``."""
+    one = np.ndim(rate) == 0
+    queue = actuator.initial_line(float(thrust)) if one else actuator.initial_state(np.asarray(thrust)[None])
     zero = np.zeros_like(rate)
-    return reset(
-        PayloadState(actuator.initial_state(thrust[None]), thrust, *[zero] * 9), rate, zero, zero + 0.5
-    )
+    return reset(PayloadState(queue, thrust, *[zero] * 9), rate, 0.0, 0.5)
 
 
-def reset(state: PayloadState, rate: Array, load_ratio: Array, std: Array) -> PayloadState:
+def reset(state: PayloadState, rate: Numbers, load_ratio: Numbers, std: Numbers) -> PayloadState:
     """Begin anew with a climb rate [m/s] and load / empty mass, and the standard deviation of the ratio."""
     zero = np.zeros_like(rate)
-    return replace(
+    begun = replace(
         state,
         rate=rate,
-        ratio=1.0 / (1.0 + load_ratio),
+        ratio=1.0 / (1.0 + load_ratio) + zero,
         rate_variance=zero + 1.0,
         covariance=zero,
         ratio_variance=zero + std**2,
@@ -162,14 +165,24 @@ def reset(state: PayloadState, rate: Array, load_ratio: Array, std: Array) -> Pa
         settled=zero,
         suspected=zero + np.inf,
     )
+    return _plain(begun)
 
 
-def send(state: PayloadState, thrust: Array) -> PayloadState:
+def _plain(state: PayloadState) -> PayloadState:
+    """The numbers of one vehicle as floats; a batch as it is."""
+    if isinstance(state.thrust, actuator.ActuatorState):
+        return state
+    return PayloadState(state.thrust, *map(float, _numbers(state)))
+
+
+def send(state: PayloadState, thrust: Numbers) -> PayloadState:
     """Collective `thrust` goes out at this moment."""
-    return replace(state, thrust=actuator.send(state.thrust, thrust[None]))
+    if isinstance(state.thrust, actuator.Line):
+        return replace(state, thrust=actuator.send_one(state.thrust, float(thrust)))
+    return replace(state, thrust=actuator.send(state.thrust, np.asarray(thrust)[None]))
 
 
-def load(parameters: PayloadParameters, state: PayloadState) -> tuple[Array, Array]:
+def load(parameters: PayloadParameters, state: PayloadState) -> tuple[Numbers, Numbers]:
     """Mass of the load and its standard deviation, kg."""
     total = parameters.vehicle_mass / state.ratio
     noise = total / state.ratio * np.sqrt(state.ratio_variance)
@@ -181,41 +194,23 @@ def accept(parameters: PayloadParameters, state: PayloadState) -> PayloadState:
     """Take the present estimate for the settled load, without any suspicion."""
     zero = np.zeros_like(state.rate)
     settled = load(parameters, state)[0]
-    return replace(state, settled=settled, rising=zero, falling=zero, suspected=zero + np.inf)
+    return _plain(replace(state, settled=settled, rising=zero, falling=zero, suspected=zero + np.inf))
 
 
 def advance(parameters: PayloadParameters, state: PayloadState, dt: float) -> PayloadState:
     """Move the commands under way by `dt` s; that is all while the vehicle does not fly freely."""
-    if np.ndim(state.acted) == 0:
-        queue, acted = _move_one(parameters.actuator, state.thrust, dt)
-        return replace(state, thrust=queue, acted=np.array(acted))
+    if isinstance(state.thrust, actuator.Line):
+        line, acted = actuator.step_one(parameters.actuator, state.thrust, dt)
+        return replace(state, thrust=line, acted=acted)
     queue, together = actuator.step(parameters.actuator, state.thrust, dt)
     return replace(state, thrust=queue, acted=together[0])
-
-
-def _move_one(
-    parameters: actuator.ActuatorParameters, state: actuator.ActuatorState, dt: float
-) -> tuple[actuator.ActuatorState, float]:
-    """`actuator.step` for the thrust of one vehicle, in plain floats: jitter makes ages new in each step."""
-    seen = actuator.window(parameters, actuator.NOW, dt, state.lagged.ndim)
-    delay, span, held, decay = (number.item() for number in seen)
-    ages = actuator.aged(state.ages, dt)
-    since = [min(max(age - delay, 0.0), span) for age in ages]
-    mean = 0.0
-    for begun, ended, (command,) in zip(since, (*since[1:], 0.0), state.commands.tolist(), strict=True):
-        mean += (begun - ended) / span * command
-    transient = float(state.lagged[0]) - mean
-    over = actuator.count_over(parameters, ages)
-    lagged = np.array([mean + decay * transient])
-    queue = actuator.ActuatorState(actuator.kept(ages, over), state.commands[over:], lagged)
-    return queue, mean + held * transient
 
 
 def step(
     parameters: PayloadParameters,
     state: PayloadState,
-    rate: Array,
-    tilt_factor: Array,
+    rate: Numbers,
+    tilt_factor: Numbers,
     fresh: bool,
     dt: float,
 ) -> tuple[PayloadState, PayloadEstimate]:
@@ -226,23 +221,25 @@ def step(
     rate : measured climb rate, m/s; read if `fresh`
     tilt_factor : cos(roll) cos(pitch), as measured
     """
-    if np.ndim(rate) == 0:
-        queue, thrust = _move_one(parameters.actuator, state.thrust, dt)
+    if isinstance(state.thrust, actuator.Line):
+        line, thrust = actuator.step_one(parameters.actuator, state.thrust, dt)
+        state = replace(state, thrust=line)
         if isinf(state.suspected):
-            return _straight_step(parameters, state, queue, thrust, rate, tilt_factor, fresh, dt)
-        acted = np.array(thrust)
+            return _straight_step(parameters, state, (thrust, float(rate), float(tilt_factor)), fresh, dt)
+        state = _filter(parameters, state, thrust, rate, tilt_factor, fresh, dt)
     else:
         queue, (acted,) = actuator.step(parameters.actuator, state.thrust, dt)
-    state = _filter(parameters, state, acted, rate, tilt_factor, fresh, dt)
-    return _decide(parameters, replace(state, thrust=queue), rate, dt)
+        state = _filter(parameters, state, acted, rate, tilt_factor, fresh, dt)
+        state = replace(state, thrust=queue)
+    return _decide(parameters, state, rate, dt)
 
 
 def _filter(
     parameters: PayloadParameters,
     state: PayloadState,
-    acted: Array,
-    rate: Array,
-    tilt_factor: Array,
+    acted: Numbers,
+    rate: Numbers,
+    tilt_factor: Numbers,
     fresh: bool,
     dt: float,
 ) -> PayloadState:
@@ -251,7 +248,7 @@ def _filter(
 
 
 def _predict(
-    parameters: PayloadParameters, state: PayloadState, acted: Array, tilt_factor: Array, dt: float
+    parameters: PayloadParameters, state: PayloadState, acted: Numbers, tilt_factor: Numbers, dt: float
 ) -> PayloadState:
     """Kalman prediction with the transition [[1, gain], [0, 1]], the gain by the thrust that acted."""
     change = acted - state.acted
@@ -274,7 +271,7 @@ def _predict(
 
 
 def _correct(
-    parameters: PayloadParameters, state: PayloadState, rate: Array, tilt_factor: Array
+    parameters: PayloadParameters, state: PayloadState, rate: Numbers, tilt_factor: Numbers
 ) -> PayloadState:
     """Kalman correction, and the two cumulative sums of its innovation.
 
@@ -312,21 +309,21 @@ _numbers = attrgetter(*_NUMBERS)  # of a state, beside the commands under way
 def _straight_step(
     parameters: PayloadParameters,
     state: PayloadState,
-    queue: actuator.ActuatorState,
-    acted: float,
-    rate: Array,
-    tilt_factor: Array,
+    seen: tuple[float, float, float],
     fresh: bool,
     dt: float,
 ) -> tuple[PayloadState, PayloadEstimate]:
-    """The step of one vehicle of whose load nothing is suspected, in plain floats."""
+    """The step of one vehicle of whose load nothing is suspected, in plain floats.
+
+    `seen` are the thrust that acted, climb rate and tilt factor.
+    """
     detection = parameters.detection
-    given: tuple[Any, ...] = (*_numbers(state), acted, rate, tilt_factor, dt, exp(-dt / detection.memory))
-    *numbers, mass, std, followed = _straight(parameters, fresh)([float(number) for number in given])
-    state = PayloadState(queue, *numbers)  # type: ignore[arg-type]  # floats do as arrays without axes
-    if max(state.rising, state.falling) > detection.alarm:
-        return _decide(parameters, state, rate, dt)
-    return replace(state, settled=followed), PayloadEstimate(mass, std, 0.0)  # type: ignore[arg-type]
+    given = (*_numbers(state), *seen, dt, exp(-dt / detection.memory))
+    *numbers, mass, std, followed = _straight(parameters, fresh)(given)
+    after = PayloadState(state.thrust, *numbers)
+    if max(after.rising, after.falling) > detection.alarm:
+        return _decide(parameters, after, seen[1], dt)
+    return replace(after, settled=followed), PayloadEstimate(mass, std, 0.0)
 
 
 _Function: TypeAlias = Callable[..., tuple[float, ...]]
@@ -355,13 +352,13 @@ def _written_out(parameters: PayloadParameters, fresh: bool) -> _Function:
     return compiled(tape, {"numbers": numbers}, results)
 
 
-def _followed(state: PayloadState, mass: Array, forgotten: float) -> Array:
+def _followed(state: PayloadState, mass: Numbers, forgotten: Numbers) -> Numbers:
     """The settled load follows the estimate while nothing is suspected."""
     return state.settled + (1.0 - forgotten) * (mass - state.settled)
 
 
 def _decide(
-    parameters: PayloadParameters, state: PayloadState, measured: Array, dt: float
+    parameters: PayloadParameters, state: PayloadState, measured: Numbers, dt: float
 ) -> tuple[PayloadState, PayloadEstimate]:
     """Alarm, then decision; while nothing is suspected the settled load follows the estimate."""
     detection = parameters.detection
@@ -375,18 +372,18 @@ def _decide(
     followed = _followed(state, mass, exp(-dt / detection.memory))
     calm = np.isinf(suspected)
     if calm.all():
-        return replace(state, settled=followed), PayloadEstimate(mass, std, np.zeros_like(change))
+        return _plain(replace(state, settled=followed)), PayloadEstimate(mass, std, np.zeros_like(change))
     noise = parameters.vehicle_mass / state.ratio**2 * np.sqrt(state.ratio_variance)
     clear = np.abs(change) > np.maximum(detection.minimum, detection.confidence * noise)
     decided = ~calm & (suspected >= detection.settle) & clear
     over: BoolArray = decided | (~calm & (suspected >= detection.patience))
     settled = np.where(decided, mass, np.where(calm, followed, state.settled))
     state = replace(state, settled=settled, suspected=np.where(over, np.inf, suspected))
-    return state, PayloadEstimate(mass, std, np.where(decided, change, 0.0))
+    return _plain(state), PayloadEstimate(mass, std, np.where(decided, change, 0.0))
 
 
 def _alarmed(
-    parameters: PayloadParameters, state: PayloadState, alarm: BoolArray, measured: Array
+    parameters: PayloadParameters, state: PayloadState, alarm: BoolArray, measured: Numbers
 ) -> PayloadState:
     """Open the covariance where there is an alarm, so that the new mass is found at once."""
     return replace(

@@ -75,6 +75,7 @@ class ArduPilot(Autopilot):
         self._shortest_ms = shortest_interval_ms(LOOP_RATE_HZ)
         self._has_intervals = True
         self._requests: list[Message] = []
+        self._decoders["PARAM_VALUE"] = self._parameter
 
     def mode_of(self, custom_mode: int) -> tuple[ModeKind, str]:
         """See `Autopilot`."""
@@ -106,14 +107,14 @@ class ArduPilot(Autopilot):
         waiting, self._requests = self._requests, []
         return waiting
 
-    def decode(self, message: Message) -> list[Event]:
-        """See `Autopilot`."""
-        match message.get_type():
-            case "PARAM_VALUE" if name_of(message) == "GUID_OPTIONS":
+    def _parameter(self, message: Message) -> list[Event]:
+        """Two parameters that say what may be asked for."""
+        match name_of(message):
+            case "GUID_OPTIONS":
                 self._guided_options = message.param_value
-            case "PARAM_VALUE" if name_of(message) == "SCHED_LOOP_RATE" and message.param_value > 0.0:
+            case "SCHED_LOOP_RATE" if message.param_value > 0.0:
                 self._shortest_ms = shortest_interval_ms(message.param_value)
-        return super().decode(message)
+        return []
 
     def rate_requests(self, message_ids: Sequence[int]) -> list[Message]:
         """See `Autopilot`. Old firmware has only groups of messages (REQUEST_DATA_STREAM), in whole Hz."""

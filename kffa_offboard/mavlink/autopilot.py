@@ -18,7 +18,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from kffa_offboard.mavlink import commands
 from kffa_offboard.mavlink.commands import EncodingError
 from kffa_offboard.mavlink.component import Message, Route
-from kffa_offboard.mavlink.telemetry import TelemetryDecoder
+from kffa_offboard.mavlink.telemetry import Decoder, TelemetryDecoder
 from kffa_offboard.offboard.events import (
     AttitudeTarget,
     CommandAnswered,
@@ -68,7 +68,12 @@ class Autopilot(ABC):
         self._rates: dict[int, float] = {}
         self._unanswered_rates: deque[int] = deque()
         self._refused_rates: set[int] = set()
-        self._telemetry = telemetry
+        self._decoders: dict[str, Decoder] = {
+            **telemetry.decoders,
+            "HEARTBEAT": lambda message: [self._heartbeat(message)],
+            "COMMAND_ACK": self._command_answer,
+            "ATTITUDE_TARGET": lambda message: self._targets(telemetry.decode(message)),
+        }
         self._arming = True
         self._custom_mode = 0
 
@@ -91,25 +96,18 @@ class Autopilot(ABC):
         """The report with None where this firmware, in its present mode, does not tell the truth."""
 
     def requests(self) -> list[Message]:
-        """Messages that the adapter itself wants sent after the message just decoded."""
+        """Messages that the adapter itself wants sent after the answer (COMMAND_ACK) just decoded."""
         return []
 
     # ----------------------------------------------------------- vehicle -> events
 
     def decode(self, message: Message) -> list[Event]:
         """Events of one message of the target."""
-        match message.get_type():
-            case "ATTITUDE" | "LOCAL_POSITION_NED":
-                return self._telemetry.decode(message)
-            case "HEARTBEAT":
-                return [self._heartbeat(message)]
-            case "COMMAND_ACK":
-                return self._command_answer(message)
-            case _:
-                return [
-                    self.trusted(event) if isinstance(event, TargetReported) else event
-                    for event in self._telemetry.decode(message)
-                ]
+        decoder = self._decoders.get(message.get_type())
+        return [] if decoder is None else decoder(message)
+
+    def _targets(self, reports: list[Event]) -> list[Event]:
+        return [self.trusted(event) if isinstance(event, TargetReported) else event for event in reports]
 
     def _heartbeat(self, message: Message) -> HeartbeatReceived:
         self._custom_mode = message.custom_mode

@@ -77,6 +77,7 @@ class Px4(Autopilot):
         self._sends_attitude = False
         self._heartbeats_until_known = 0
         self._last: HeartbeatReceived | None = None
+        self._decoders["CURRENT_MODE"] = self._current_mode
 
     def mode_of(self, custom_mode: int) -> tuple[ModeKind, str]:
         """See `Autopilot`."""
@@ -98,10 +99,8 @@ class Px4(Autopilot):
         """See `Autopilot`. Taken as asked; 50 and 100 Hz are kept exactly, 200 Hz gives 125."""
         return round(1e6 / rate_hz)
 
-    def decode(self, message: Message) -> list[Event]:
-        """See `Autopilot`. CURRENT_MODE tells of a change of mode before the next HEARTBEAT does."""
-        if message.get_type() != "CURRENT_MODE":
-            return super().decode(message)
+    def _current_mode(self, message: Message) -> list[Event]:
+        """It tells of a change of mode before the next HEARTBEAT does."""
         if self._last is None or message.custom_mode == self._custom_mode:
             return []
         self._custom_mode = message.custom_mode

@@ -21,7 +21,7 @@ from kffa_offboard.mavlink.parameter_file import ChangedParameter
 from kffa_offboard.mavlink.parameter_keeper import ParameterKeeper
 from kffa_offboard.mavlink.reception import Reception
 from kffa_offboard.mavlink.rivals import RivalWatch
-from kffa_offboard.mavlink.transmission import Counters, Transmission
+from kffa_offboard.mavlink.transmission import Transmission
 from kffa_offboard.mavlink.transport import Datagram, Link
 from kffa_offboard.mavlink.vehicle import Vehicle
 from kffa_offboard.offboard.events import (
@@ -96,6 +96,11 @@ class Recorder(Protocol):
 class Session:
     """Joins link, translation, service and log.
 
+    Attributes
+    ----------
+    counters
+        What has gone by so far.
+
     Parameters
     ----------
     service, link
@@ -148,8 +153,10 @@ class Session:
         self._rivals = RivalWatch(route)
         self._reception = Reception(link, route, self._rivals)
         self._transmission = Transmission(link, route, self._rivals, recorder)
+        self.counters = self._transmission.counters
         self._due_us: int | None = None
         self._due_known = False  # what is done here may change what is due
+        self._may_reply = False  # since the last reply something was done that may need one
 
     def read(self, datagram: Datagram) -> list[Message]:
         """See `Reception.read`."""
@@ -179,7 +186,9 @@ class Session:
             self._due_known = False
             for event in self._companion.receive(time_us, message):
                 self.tell(time_us, event)
-        self._reply(time_us)
+            self._may_reply = True
+        if self._may_reply:
+            self._reply(time_us)
         return from_target and kind == "ATTITUDE"
 
     def _handle_target(self, time_us: int, kind: str, message: Message) -> None:
@@ -189,12 +198,14 @@ class Session:
                 self._handle_heartbeat(time_us, event)
             else:
                 self.tell(time_us, event)
-        for request in self._vehicle.requests():
-            self._transmission.send(time_us, request)
-        if self._parameters is not None:
-            if kind in parameter_keeper.MESSAGES:
-                self._due_known = False
-                self._parameters.receive(time_us, message)
+        if kind == "COMMAND_ACK":
+            for request in self._vehicle.requests():
+                self._transmission.send(time_us, request)
+        if self._parameters is not None and kind in parameter_keeper.MESSAGES:
+            self._due_known = False
+            self._parameters.receive(time_us, message)
+            self._follow_parameters(time_us)
+        elif self.service.finished is not None:
             self._follow_parameters(time_us)
 
     def _handle_heartbeat(self, time_us: int, event: HeartbeatReceived) -> None:
@@ -281,7 +292,8 @@ class Session:
         self.advance(time_us)
         if self._recorder is not None:
             self._recorder.write_report(time_us, report)
-        self._observe(time_us, report)
+        if self._observer is not None:
+            self._observer(time_us, report)
         self._due_known = False
         self._companion.report(time_us, report)
         self._reply(time_us)
@@ -321,6 +333,7 @@ class Session:
 
     def _reply(self, time_us: int) -> None:
         """Send what the companion has to say, in its order."""
+        self._may_reply = False
         replies = self._companion.take()
         if not replies:
             return
@@ -334,11 +347,6 @@ class Session:
         """Answer a TIMESYNC request of the target; others are not ours to answer."""
         if is_timesync_request(request) and self.route.from_target(request):
             self._transmission.send(time_us, timesync_answer(request, own_time_ns))
-
-    @property
-    def counters(self) -> Counters:
-        """What has gone by so far."""
-        return self._transmission.counters
 
     @property
     def damaged_bytes(self) -> int:
@@ -372,14 +380,12 @@ class Session:
                     sent = self._transmission.send(time_us, message)
                     self.counters.commands_sent += sent and isinstance(output, AttitudeTarget)
             self._companion.note(output)
-        for item in outputs if event is None else (event, *outputs):
-            self._observe(time_us, item)
+            self._may_reply = True
+        if self._observer is not None:
+            for item in outputs if event is None else (event, *outputs):
+                self._observer(time_us, item)
         if refusal is not None and self.refusal is None:
             # A service that asks for something unsendable must not keep control: once, it has to let go.
             self.refusal = refusal
             LOG.error("refused to send: %s", refusal)
             self.tell(time_us, ReleaseRequested(refusal))
-
-    def _observe(self, time_us: int, item: Event | Output | ProcessReport) -> None:
-        if self._observer is not None:
-            self._observer(time_us, item)

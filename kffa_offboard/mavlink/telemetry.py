@@ -7,6 +7,7 @@ is the service's to judge.
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -22,6 +23,9 @@ from kffa_offboard.offboard.events import (
     TargetReported,
     ThrottleReported,
 )
+
+Decoder: TypeAlias = Callable[[Message], list[Event]]
+"""Events of one message of a type."""
 
 _BOOT_CLOCK_RANGE_MS = 2**32
 _UNIT_NORM_TOLERANCE = 0.01
@@ -86,12 +90,18 @@ def _printable(text: str) -> str:
 
 
 class TelemetryDecoder:
-    """Decodes what needs no knowledge of the firmware. One per vehicle: it remembers clock and chunks."""
+    """Decodes what needs no knowledge of the firmware. One per vehicle: it remembers clock and chunks.
+
+    Attributes
+    ----------
+    decoders : by the type of the message
+
+    """
 
     def __init__(self) -> None:
         self._clock = BootClock()
         self._texts = TextAssembler()
-        self._decoders: dict[str, Callable[[Message], list[Event]]] = {
+        self.decoders: dict[str, Decoder] = {
             "ATTITUDE": self._attitude,
             "LOCAL_POSITION_NED": self._position,
             "ATTITUDE_TARGET": self._target,
@@ -103,7 +113,7 @@ class TelemetryDecoder:
 
     def decode(self, message: Message) -> list[Event]:
         """Events of one message; none for types that do not concern control."""
-        decoder = self._decoders.get(message.get_type())
+        decoder = self.decoders.get(message.get_type())
         return [] if decoder is None else decoder(message)
 
     def _status_text(self, message: Message) -> list[Event]:

@@ -12,9 +12,8 @@ after a silence, or samples that came late.
 
 from __future__ import annotations
 
-from math import cos, exp
+from math import cos, exp, isfinite, isinf
 
-import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
@@ -108,7 +107,7 @@ class Awareness(Struct, frozen=True):
 
 def begin_awareness(sample: PayloadSample) -> Awareness:
     """Start with the thrust that acts now."""
-    return Awareness(payload.initial_state(np.array(sample.thrust), np.array(sample.climb_rate)))
+    return Awareness(payload.initial_state(sample.thrust, sample.climb_rate))
 
 
 def step_awareness(
@@ -121,7 +120,7 @@ def step_awareness(
     else:
         resting = payload.advance(settings.estimator, state.estimator, sample.dt)
         state = Awareness(resting)
-    return replace(state, estimator=payload.send(state.estimator, np.array(sample.thrust))), outputs
+    return replace(state, estimator=payload.send(state.estimator, sample.thrust)), outputs
 
 
 def expect_drop(state: Awareness, load: float, moment_us: int) -> Awareness:
@@ -141,8 +140,8 @@ def call_off_drop(settings: PayloadSettings, state: Awareness) -> Awareness:
     """The release will not happen: the load is what it was."""
     expected = state.expected
     if expected is not None and expected.begun:
-        ratio = np.array(expected.load / settings.estimator.vehicle_mass)
-        opening = np.array(settings.estimator.detection.opening)
+        ratio = expected.load / settings.estimator.vehicle_mass
+        opening = settings.estimator.detection.opening
         again = payload.reset(state.estimator, state.estimator.rate, ratio, opening)
         state = replace(state, estimator=payload.accept(settings.estimator, again))
     return replace(state, expected=None)
@@ -151,23 +150,23 @@ def call_off_drop(settings: PayloadSettings, state: Awareness) -> Awareness:
 def _estimate(
     settings: PayloadSettings, state: Awareness, sample: PayloadSample
 ) -> tuple[Awareness, tuple[Output, ...]]:
-    rate = np.array(sample.climb_rate)
+    rate = sample.climb_rate
     if state.flying_since_us is None:
-        fresh = payload.reset(state.estimator, rate, np.array(0.0), np.array(0.5))
+        fresh = payload.reset(state.estimator, rate, 0.0, 0.5)
         state = replace(state, estimator=fresh, flying_since_us=sample.time_us)
     since_us = sample.time_us if state.flying_since_us is None else state.flying_since_us
     expected = state.expected
     if expected is not None and not expected.begun and sample.time_us >= expected.moment_us:
-        opening = np.array(settings.estimator.detection.opening)
-        empty = payload.reset(state.estimator, rate, np.array(0.0), opening)
+        opening = settings.estimator.detection.opening
+        empty = payload.reset(state.estimator, rate, 0.0, opening)
         state = replace(state, estimator=empty, expected=replace(expected, begun=True), pick_up=None)
-    tilt_factor = np.array(cos(sample.attitude[0]) * cos(sample.attitude[1]))
+    tilt_factor = cos(sample.attitude[0]) * cos(sample.attitude[1])
     estimator, estimate = payload.step(
         settings.estimator, state.estimator, rate, tilt_factor, sample.fresh, sample.dt
     )
     load = Load(float(estimate.mass), float(estimate.std))
     if sample.time_us - since_us < round(settings.settle_s * 1e6) and state.load is None:
-        if np.isfinite(estimator.suspected) or sample.untimed:  # it has just changed: begin anew
+        if isfinite(estimator.suspected) or sample.untimed:  # it has just changed: begin anew
             estimator = payload.accept(settings.estimator, estimator)
             state = replace(state, flying_since_us=sample.time_us)
         return replace(state, estimator=estimator), ()
@@ -231,7 +230,7 @@ def _watch_changes(
         drop = Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg")
         return replace(state, pick_up=None, told=load.mass), (drop,)
     pick_up = state.pick_up
-    if pick_up is None and np.isinf(state.estimator.suspected):
+    if pick_up is None and isinf(state.estimator.suspected):
         told = load.mass + (state.told - load.mass) * exp(-sample.dt / TOLD_MEMORY_S)
         return replace(state, told=told), ()
     if pick_up is None or time_us - pick_up.since_us < round(settings.announce_s * 1e6):
