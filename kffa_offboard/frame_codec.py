@@ -19,9 +19,10 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.dialects.v20.development import MAVLink_current_mode_message
 
 _MARKER = 0xFD
-_HEAD = struct.Struct("<BBBBBBBHB")  # marker, length, two flags, sequence, system, component, message id
+_HEAD = struct.Struct("<BBBBBBHB")  # length, two flags, sequence, system, component, message id
+_PAYLOAD = 1 + _HEAD.size  # where it begins, behind marker and head
 _CHECKSUM = struct.Struct("<H")
-OVERHEAD = _HEAD.size + _CHECKSUM.size
+OVERHEAD = _PAYLOAD + _CHECKSUM.size
 """Bytes of a frame beside its payload, whose length is the second byte."""
 CURRENT_MODE: int = MAVLink_current_mode_message.id
 """PX4 sends it, and ArduPilot's dialect lacks it. From here on pymavlink's own parser knows it, too."""
@@ -38,7 +39,7 @@ class _Layout(NamedTuple):
     ----------
     number : the lower 16 bits of the message id, and the others
     payload : layout of the frame between head and checksum
-    crc_extra : goes into the checksum behind the frame
+    crc_extra : goes into the checksum behind the frame, one byte
     wire_values : of a message: its values in the order of the frame, an array as one
     arrays : places of the arrays among them, the last first
     fields : of the frame's numbers and texts: the message's fields, in its own order, an array as a tuple
@@ -47,7 +48,7 @@ class _Layout(NamedTuple):
 
     number: tuple[int, int]
     payload: struct.Struct
-    crc_extra: int
+    crc_extra: bytes
     wire_values: Callable[[Any], tuple[Any, ...]]
     arrays: tuple[int, ...]
     fields: Callable[[tuple[Any, ...]], tuple[Any, ...]]
@@ -70,7 +71,7 @@ def _layout(kind: Any) -> _Layout:
     return _Layout(
         (kind.id & 0xFFFF, kind.id >> 16),
         kind.unpacker,
-        kind.crc_extra,
+        bytes((kind.crc_extra,)),
         _several(attrgetter, names),
         tuple(reversed(arrays)),
         _several(itemgetter, [places[order] for order in kind.orders]),
@@ -86,9 +87,9 @@ def _several(getter: Callable[..., Callable[[Any], Any]], which: Sequence[Any]) 
     return lambda holder: (only(holder),)
 
 
-def checksum(covered: bytes, crc_extra: int) -> bytes:
+def checksum(covered: bytes, crc_extra: bytes) -> bytes:
     """The two bytes behind a frame; `covered` is the frame without them and without its first byte."""
-    return _CHECKSUM.pack(mcrf4xx(covered + bytes((crc_extra,))))
+    return _CHECKSUM.pack(mcrf4xx(covered + crc_extra))
 
 
 def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
@@ -98,20 +99,19 @@ def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
     """
     kind: Any = type(message)
     layout = _layout(kind)
-    values = list(layout.wire_values(message))
+    values: Sequence[Any] = layout.wire_values(message)
     for place in layout.arrays:
-        values[place : place + 1] = values[place]
+        values = (*values[:place], *values[place], *values[place + 1 :])
     payload = layout.payload.pack(*values).rstrip(b"\0") or b"\0"  # zeros at the end are not sent
-    head = _HEAD.pack(_MARKER, len(payload), 0, 0, sequence, system, component, *layout.number)
-    frame = head + payload
-    return frame + checksum(frame[1:], layout.crc_extra)
+    covered = _HEAD.pack(len(payload), 0, 0, sequence, system, component, *layout.number) + payload
+    return b"\xfd" + covered + checksum(covered, layout.crc_extra)
 
 
 def unpack(frame: bytes) -> Any | None:
     """The message in a whole, undamaged, unsigned MAVLink 2 frame of a known type; None for anything else."""
     if len(frame) < OVERHEAD or frame[0] != _MARKER or frame[2] or len(frame) != frame[1] + OVERHEAD:
         return None
-    _, length, flags, other_flags, sequence, system, component, low, high = _HEAD.unpack_from(frame)
+    length, flags, other_flags, sequence, system, component, low, high = _HEAD.unpack_from(frame, 1)
     kind = mavlink.mavlink_map.get(low | high << 16)
     if kind is None:
         return None
@@ -119,7 +119,7 @@ def unpack(frame: bytes) -> Any | None:
     if checksum(frame[1:-2], layout.crc_extra) != frame[-2:]:
         return None
     size = layout.payload.size
-    fields = layout.fields(layout.payload.unpack(frame[_HEAD.size : -2].ljust(size, b"\0")[:size]))
+    fields = layout.fields(layout.payload.unpack(frame[_PAYLOAD:-2].ljust(size, b"\0")[:size]))
     message = kind(*(fields if layout.finished else map(_finished, fields)))
     message._msgbuf = frame
     message._payload = frame[6:-2]  # so pymavlink has it

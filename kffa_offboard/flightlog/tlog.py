@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import io
 import struct
 import zlib
 from collections.abc import Collection, Iterator
@@ -19,7 +20,7 @@ from kffa_offboard.frame_codec import decode
 TIMESTAMP = struct.Struct(">Q")
 GZIP_MAGIC = b"\x1f\x8b"
 
-_Source: TypeAlias = IO[bytes] | gzip.GzipFile
+_Source: TypeAlias = IO[bytes] | io.BufferedReader
 
 _MARKER_V1 = 0xFE
 _MARKER_V2 = 0xFD
@@ -143,7 +144,7 @@ def _open(path: Path) -> _Source:
     if not file.peek(2).startswith(GZIP_MAGIC):
         return file
     file.close()
-    return gzip.open(path, "rb")
+    return io.BufferedReader(gzip.open(path, "rb"))  # GzipFile itself reads a few bytes slowly
 
 
 def read_tlog(path: Path, *, even: bool = False, kinds: Collection[int] | None = None) -> TlogReader:

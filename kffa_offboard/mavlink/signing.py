@@ -82,7 +82,7 @@ def checksum_fits(frame: bytes) -> bool:
         return False
     signed = frame[0] == _MARKER_V2 and bool(frame[2])
     end = len(frame) - 2 - (SIGNATURE_SIZE if signed else 0)
-    return checksum(frame[1:end], known.crc_extra) == frame[end : end + 2]
+    return checksum(frame[1:end], bytes((known.crc_extra,))) == frame[end : end + 2]
 
 
 class Signer:
@@ -111,7 +111,7 @@ class Signer:
         """The frame with a signature. It must be a whole unsigned MAVLink 2 frame of a known message."""
         self.timestamp = min(max(timestamp_at(time_us), self.timestamp + 1), _LARGEST)
         head = frame[1:2] + bytes((frame[2] | mavlink.MAVLINK_IFLAG_SIGNED,)) + frame[3:-2]
-        crc_extra = mavlink.mavlink_map[message_id(frame)].crc_extra
+        crc_extra = bytes((mavlink.mavlink_map[message_id(frame)].crc_extra,))
         signed = frame[:1] + head + checksum(head, crc_extra) + self._link_id
         signed += self.timestamp.to_bytes(6, "little")
         signed += self._signature(signed)
@@ -163,4 +163,4 @@ def without_signature(frame: bytes) -> bytes | None:
     if known is None:
         return None
     head = frame[1:2] + b"\0" + frame[3 : -SIGNATURE_SIZE - 2]
-    return frame[:1] + head + checksum(head, known.crc_extra)
+    return frame[:1] + head + checksum(head, bytes((known.crc_extra,)))

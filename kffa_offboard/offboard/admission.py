@@ -12,10 +12,12 @@ Rules of thumb, with the numbers that the simulated vehicle gives (docs/safety.m
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import hypot, isnan
 
 import numpy as np
 
+from kffa_offboard.control.observer import ObserverParameters
 from kffa_offboard.offboard import telemetry
 from kffa_offboard.offboard.course import course_problem
 from kffa_offboard.offboard.events import BatteryReported, LinkMeasured
@@ -91,15 +93,22 @@ def leaves_limits(settings: ServiceSettings, loop: LoopState, grounded: bool) ->
     return course_problem(settings.scenario, settings.limits.bounds, 0.0 if grounded else loop.hold_altitude)
 
 
+@lru_cache(maxsize=16)
+def _bandwidths(observer: ObserverParameters) -> tuple[float, float]:
+    """The quickest of all channels, and that of the altitude, rad/s."""
+    channels = observer.fastest.tolist()
+    return max(channels), channels[3]
+
+
 def slow(settings: ServiceSettings, known: Telemetry, time_us: int, spare: float = 1.0) -> str | None:
     """Too few samples for the observers, counted over the last second; `spare` times as many are wanted."""
     observer = settings.controller.observer
     if observer is None:
         return None
-    bandwidths = observer.fastest.tolist()
+    quickest, vertical = _bandwidths(observer)
     for name, stream, bandwidth in (
-        ("attitude", known.attitude_stream, max(bandwidths)),
-        ("position", known.position_stream, bandwidths[3]),
+        ("attitude", known.attitude_stream, quickest),
+        ("position", known.position_stream, vertical),
     ):
         needed, seen = SAMPLES_PER_RADIAN * bandwidth, rate_hz(stream, time_us)
         if seen < spare * needed:

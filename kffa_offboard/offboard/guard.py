@@ -70,11 +70,11 @@ def check_wish(
 
 
 def _clip(value: float, lower: float, upper: float) -> float:
-    return min(max(value, lower), upper)
+    return lower if value < lower else upper if value > upper else value
 
 
 def _slew(value: float, previous: float, change: float) -> float:
-    return min(max(value, previous - change), previous + change)
+    return _clip(value, previous - change, previous + change)
 
 
 def tilt(attitude: Vector3) -> float:

@@ -249,7 +249,7 @@ def _tilt(attitude: Vector3) -> float:
 
 
 def _bounded(value: float, most: float) -> float:
-    return min(max(value, -most), most)
+    return -most if value < -most else min(value, most)
 
 
 def _height_mismatch(before: PositionTrust, event: PositionReceived) -> tuple[float, float]:

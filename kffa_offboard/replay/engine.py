@@ -18,7 +18,7 @@ from kffa_offboard.mavlink.shell import pass_barrier, take_message
 from kffa_offboard.mavlink.transport import Datagram, Posting
 from kffa_offboard.offboard.events import ProcessReport, Signals
 from kffa_offboard.offboard.service import Service
-from kffa_offboard.replay.recording import Frame, Recording, is_report, is_request
+from kffa_offboard.replay.recording import Frame, Recording, is_message, is_report
 from kffa_offboard.replay.uncollected import uncollected
 
 
@@ -130,15 +130,13 @@ def replay(recording: Recording, config: DaemonConfig, flown: Mapping[int, Array
     )
     session.advance(recording.begin_us)
     for time_us, item in recording.incoming:
-        if is_request(item):
-            session.request(time_us, item)
-        elif is_report(item):
-            session.report(time_us, item)
-        elif lockstep and is_timesync_request(item) and route.from_target(item):
-            pass_barrier(session, time_us, item)
-        elif lockstep:
-            session.handle(time_us, item)
-        else:
+        if not is_message(item):
+            (session.report if is_report(item) else session.request)(time_us, item)
+        elif not lockstep:
             take_message(session, time_us, item)
+        elif is_timesync_request(item) and route.from_target(item):
+            pass_barrier(session, time_us, item)
+        else:
+            session.handle(time_us, item)
     session.advance(recording.end_us)
     return collector.replayed

@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from msgspec import Struct
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
-from kffa_offboard.flightlog.notes import End, Header, Lost, Note, NoteReader, Request, is_note
+from kffa_offboard.flightlog.notes import End, Header, Lost, Note, NoteReader, is_note
 from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.signals import is_signals
 from kffa_offboard.flightlog.tlog import read_tlog
@@ -163,11 +164,11 @@ def _may_be_ours_alone(frame: bytes) -> bool:
     return int.from_bytes(frame[7:10], "little") in _NOTHING_OURS
 
 
+def is_message(item: Any) -> bool:
+    """True for a received message among the incoming items; the others are events."""
+    return not isinstance(item, Struct)
+
+
 def is_report(item: Any) -> bool:
-    """True for a report of the daemon's own process among the incoming items."""
+    """True for a report of the daemon's own process among them."""
     return isinstance(item, ProcessReport)
-
-
-def is_request(item: Any) -> bool:
-    """True for a request of the daemon's own process among the incoming items."""
-    return isinstance(item, Request)

@@ -21,7 +21,7 @@ from kffa_offboard.mavlink.transport import Datagram
 from kffa_offboard.offboard.events import AttitudeTarget
 from kffa_offboard.offboard.service import Service
 from kffa_offboard.replay.engine import NoLink
-from kffa_offboard.replay.recording import Recording, is_request, read_recording
+from kffa_offboard.replay.recording import Recording, is_message, is_report, read_recording
 from kffa_offboard.selftest.result import Row, at_most
 
 GROUP = "this machine"
@@ -85,8 +85,9 @@ def _steps(recording: Recording) -> list[float]:
     )
     took: list[float] = []
     for time_us, item in recording.incoming:
-        if is_request(item):
-            session.request(time_us, item)
+        if not is_message(item):
+            if not is_report(item):
+                session.request(time_us, item)
             continue
         frame, before = bytes(item.get_msgbuf()), session.counters.commands_sent
         began = time.perf_counter()
