@@ -44,6 +44,7 @@ from kffa_offboard.control.composition import (
     with_disturbance_step,
     with_times,
 )
+from kffa_offboard.control.plain import array_state, plain_input, plain_state
 
 __all__ = [
     "ALTITUDE",
@@ -123,7 +124,8 @@ def step(
     if not 0.0 < dt < np.inf:
         raise ValueError(f"control step of {dt} s: dt must be positive; give each sample once, in order")
     if straight.is_straight(parameters, state, dt):
-        return straight.step(parameters, state, inputs, dt)
+        after, said = straight.step(parameters, plain_state(state), plain_input(inputs), dt)
+        return array_state(after), said.arrays()
     found = coefficients(parameters, state, inputs, dt)
     ages = actuator.aged(state.actuator.ages, dt)
     means = averages(found, ages, state.actuator.commands)

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import count
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -35,7 +34,19 @@ from kffa_offboard.control.composition import (
     filter_gains,
 )
 from kffa_offboard.control.covariance import Spread
-from kffa_offboard.control.kalman import KalmanGains, KalmanState
+from kffa_offboard.control.kalman import KalmanGains
+from kffa_offboard.control.plain import (
+    DISTURBANCE,
+    ESTIMATE,
+    LAGGED,
+    RATE,
+    PlainInput,
+    PlainOutput,
+    PlainState,
+    Vector,
+    array_state,
+    sent,
+)
 from kffa_offboard.control.tracing import Tape, Traced, compiled
 from kffa_offboard.control.tracking_differentiator import TrackingDifferentiatorState
 
@@ -56,12 +67,15 @@ class Found(NamedTuple):
 
     Attributes
     ----------
-    numbers : flat lists, in the order of `_coefficient_arrays` and `_parameter_arrays`
+    coefficients : as arrays
+    elapsed : of the state after the step
+    numbers : flat, in the order of `_coefficient_arrays` and `_parameter_arrays`
     delay, span : s ``(2, channels)``, of the windows (`actuator.Window`) of what acted, and of what will
     """
 
     coefficients: Coefficients
-    numbers: list[list[float]]
+    elapsed: Vector
+    numbers: Vector
     delay: Array
     span: Array
 
@@ -69,11 +83,26 @@ class Found(NamedTuple):
 class FoundGains(NamedTuple):
     """The Kalman filter's gains as `Law.function` takes them, and its spreads after the step."""
 
-    numbers: list[list[float]]
+    numbers: Vector
     spreads: tuple[Spread, ...]
 
 
-_NO_GAINS = FoundGains([], ())
+class Shares(NamedTuple):
+    """How commands under way act in a step.
+
+    Attributes
+    ----------
+    means : for each channel in what acted, then in what will: place and share of each command that acts
+    over : how many act no more
+    ages : of the others, s
+    """
+
+    means: list[list[tuple[int, int, float]]]
+    over: int
+    ages: tuple[float, ...]
+
+
+_NO_GAINS = FoundGains((), ())
 
 
 _functions: dict[tuple[Any, ...], Function] = {}
@@ -84,7 +113,8 @@ class Law:
 
     Attributes
     ----------
-    function : of state, inputs, means, coefficients and parameters, in this order; a list for each array
+    function : of the numbers of the state, the last command, reference, measurement, what is fresh, the
+        measured rate if there is one, means, gains of the Kalman filter if there is one, and `Found.numbers`
     """
 
     def __init__(self, parameters: ControllerParameters, with_rate: bool) -> None:
@@ -93,51 +123,58 @@ class Law:
             _keep(_functions, structure, _traced(parameters, with_rate))
         self.function = _functions[structure]
         self._parameters = parameters
-        self._numbers = [array.reshape(-1).tolist() for array in _parameter_arrays(parameters)]
+        self._numbers = _flat(_parameter_arrays(parameters))
         self._found: dict[tuple[object, ...], Found] = {}
         self._gains: dict[tuple[object, ...], FoundGains] = {}
-        self._shares: dict[tuple[object, ...], tuple[Array, int, tuple[float, ...]]] = {}
+        self._shares: dict[tuple[object, ...], Shares] = {}
 
-    def find(self, state: ControllerState, inputs: ControllerInput, dt: float) -> Found:
+    def find(self, state: PlainState, inputs: PlainInput, dt: float) -> Found:
         """Look up the coefficients of a step, or work them out."""
-        key = (dt, inputs.fresh.tobytes(), state.observer.elapsed.tobytes())
+        key = (dt, inputs.fresh, state.elapsed)
         known = self._found.pop(key, None)
         if known is None:
-            found = discretised(self._parameters, state, inputs, dt)
-            known = Found(found, _flat(_coefficient_arrays(found)) + self._numbers, *_windows(found))
+            found = discretised(self._parameters, array_state(state), inputs.arrays(), dt)
+            numbers = _flat(_coefficient_arrays(found)) + self._numbers
+            known = Found(found, tuple(found.elapsed.tolist()), numbers, *_windows(found))
         _keep(self._found, key, known)  # as the latest
         return known
 
-    def find_gains(self, state: ControllerState, inputs: ControllerInput, dt: float) -> FoundGains:
+    def find_gains(self, state: PlainState, inputs: PlainInput, dt: float) -> FoundGains:
         """Look up the Kalman filter's gains, or work them out: odd times make them many."""
-        noise, filtered = self._parameters.kalman, state.kalman
-        if noise is None or filtered is None:
+        if self._parameters.kalman is None:
             return _NO_GAINS
-        key = (dt, inputs.fresh.tobytes(), filtered.spreads)
+        key = (dt, inputs.fresh, state.spreads)
         known = self._gains.pop(key, None)
         if known is None:
-            gains, spreads = filter_gains(self._parameters, noise, filtered, inputs, dt)
+            filtered = array_state(state).kalman
+            assert filtered is not None
+            gains, spreads = filter_gains(
+                self._parameters, self._parameters.kalman, filtered, inputs.arrays(), dt
+            )
             known = FoundGains(_flat(gains), spreads)
         _keep(self._gains, key, known)
         return known
 
-    def shares(self, state: ControllerState, found: Found, dt: float) -> tuple[Array, int, tuple[float, ...]]:
-        """Shares ``(K, 2, channels)`` of the commands under way in what acted and in what will act.
-
-        Then how many act no more, and the ages of the others.
-        """
-        key = (dt, state.actuator.ages)
+    def shares(self, state: PlainState, found: Found, dt: float) -> Shares:
+        """Look up how the commands under way act, or work it out."""
+        key = (dt, state.ages)
         known = self._shares.get(key)
         if known is None:
-            ages = actuator.aged(state.actuator.ages, dt)
+            ages = actuator.aged(state.ages, dt)
             over = actuator.count_over(self._parameters.actuator, ages)
-            known = actuator.shares(ages, found.delay, found.span), over, actuator.kept(ages, over)
+            acting = actuator.shares(ages, found.delay, found.span)
+            means = [
+                [(k, channel, share) for k, share in enumerate(acting[:, window, channel].tolist()) if share]
+                for window in range(acting.shape[1])
+                for channel in range(acting.shape[2])
+            ]
+            known = Shares(means, over, actuator.kept(ages, over))
             _keep(self._shares, key, known)
         return known
 
 
-def _flat(arrays: Iterable[Array]) -> list[list[float]]:
-    return [array.reshape(-1).tolist() for array in arrays]
+def _flat(arrays: Iterable[Array]) -> Vector:
+    return tuple(number for array in arrays for number in array.reshape(-1).tolist())
 
 
 def _windows(found: Coefficients) -> list[Array]:
@@ -167,32 +204,58 @@ def can_be_straight(parameters: ControllerParameters) -> bool:
     return parameters.pid is None and parameters.differentiator is not None
 
 
-def is_straight(parameters: ControllerParameters, state: ControllerState, dt: float) -> bool:
+def is_straight(parameters: ControllerParameters, state: ControllerState | PlainState, dt: float) -> bool:
     """Is this step made by a function of floats?"""
-    if state.expected is not None or state.observer.estimate.ndim != 1 or not can_be_straight(parameters):
+    if not isinstance(state, PlainState) and (
+        state.expected is not None or state.observer.estimate.ndim != 1 or not can_be_straight(parameters)
+    ):
         return False
     assert parameters.differentiator is not None
     return 2.0 * dt <= parameters.differentiator.filter_time
 
 
 def step(
-    parameters: ControllerParameters, state: ControllerState, inputs: ControllerInput, dt: float
-) -> tuple[ControllerState, ControllerOutput]:
+    parameters: ControllerParameters, state: PlainState, inputs: PlainInput, dt: float
+) -> tuple[PlainState, PlainOutput]:
     """`controllers.step`, for what `is_straight`."""
-    known = law(parameters, inputs.measured_rate is not None)
+    rate = inputs.measured_rate
+    known = law(parameters, rate is not None)
     found, gains = known.find(state, inputs, dt), known.find_gains(state, inputs, dt)
-    shares, over, ages = known.shares(state, found, dt)
-    means = np.add.reduce(shares * state.actuator.commands[:, None])
-    given = (*_state_arrays(state), *_input_arrays(inputs), *means)
-    numbers = known.function(*[array.tolist() for array in given], *gains.numbers, *found.numbers)
-    rows = list(np.array(numbers).reshape(-1, inputs.reference.size))
-    queue = actuator.ActuatorState(ages, state.actuator.commands[over:], rows[6])
-    queue = actuator.send(queue, rows[-3])
-    return _next_state(state, found.coefficients.elapsed, gains.spreads, queue, rows), _output(rows)
+    shares, commands = known.shares(state, found, dt), state.commands
+    means = []
+    for acting in shares.means:
+        mean = 0.0
+        for place, channel, share in acting:
+            mean += share * commands[place][channel]
+        means.append(mean)
+    given: list[Sequence[Any]] = [
+        state.numbers,
+        commands[-1],
+        inputs.reference,
+        inputs.measurement,
+        inputs.fresh,
+    ]
+    given += [means] if rate is None else [rate, means]
+    given += [gains.numbers, found.numbers] if gains.numbers else [found.numbers]
+    numbers = known.function(*given)
+    size, end = len(found.elapsed), len(state.numbers)
+    command = numbers[end : end + size]
+    under_way = sent(shares.ages, commands[shares.over :], command)
+    after = PlainState(numbers[:end], *under_way, found.elapsed, gains.spreads, state.pid)
+    return after, PlainOutput(
+        command,
+        numbers[:size],
+        numbers[size : 2 * size],
+        numbers[ESTIMATE * size : RATE * size],
+        numbers[RATE * size : DISTURBANCE * size],
+        numbers[DISTURBANCE * size : LAGGED * size],
+        numbers[end + size : end + 2 * size],
+        numbers[end + 2 * size :],  # type: ignore[arg-type]  # truth values
+    )
 
 
 def _changing_arrays(state: ControllerState) -> list[Any]:
-    """What the arithmetic changes of a state."""
+    """What the arithmetic changes of a state: the rows of `PlainState.numbers`."""
     tracked, seen, filtered = state.differentiator, state.observer, state.kalman
     arrays = [
         tracked.position,
@@ -204,16 +267,6 @@ def _changing_arrays(state: ControllerState) -> list[Any]:
     ]
     arrays.append(state.actuator.lagged)
     return arrays if filtered is None else [*arrays, filtered.estimate, filtered.rate, filtered.disturbance]
-
-
-def _state_arrays(state: ControllerState) -> list[Any]:
-    """What it reads of it: the last command, too."""
-    return [*_changing_arrays(state), state.actuator.commands[-1]]
-
-
-def _input_arrays(inputs: ControllerInput) -> list[Any]:
-    rate = [] if inputs.measured_rate is None else [inputs.measured_rate]
-    return [inputs.reference, inputs.measurement, inputs.fresh, *rate]
 
 
 def _coefficient_arrays(found: Coefficients) -> list[Array]:
@@ -254,33 +307,6 @@ def _structure(parameters: ControllerParameters, with_rate: bool) -> tuple[Any, 
     )
 
 
-def _next_state(
-    state: ControllerState,
-    elapsed: Array,
-    spreads: tuple[Spread, ...],
-    queue: actuator.ActuatorState,
-    rows: list[Array],
-) -> ControllerState:
-    """The state after the step; `rows` are those of `_results`."""
-    filtered = state.kalman
-    if filtered is not None:
-        filtered = KalmanState(rows[7], rows[8], rows[9], spreads)
-    return ControllerState(
-        TrackingDifferentiatorState(rows[0], rows[1], rows[2]),
-        observer.ObserverState(rows[3], rows[4], rows[5], elapsed),
-        queue,
-        state.pid,
-        filtered,
-    )
-
-
-def _output(rows: list[Array]) -> ControllerOutput:
-    command, omega_c, saturated = rows[-3:]
-    return ControllerOutput(
-        command, rows[0], rows[1], rows[3], rows[4], rows[5], omega_c, saturated.astype(bool)
-    )
-
-
 def _results(state: ControllerState, output: ControllerOutput) -> list[Any]:
     """What the function returns: state, command, omega_c and whether the command was limited."""
     return [*_changing_arrays(state), output.command, output.omega_c, output.saturated]
@@ -293,29 +319,34 @@ def _traced(parameters: ControllerParameters, with_rate: bool) -> Function:
     state = initial_state(parameters, zero, zero)
     inputs = ControllerInput(zero, zero, fresh, zero if with_rate else None)
     found = coefficients(parameters, state, inputs, _ANY_STEP)
-    tape, names = Tape(), count()
+    tape = Tape()
     arguments: dict[str, Traced] = {}
 
     def symbols(arrays: Sequence[Array]) -> list[Any]:
-        for array in arrays:
-            name = f"a{next(names)}"
-            arguments[name] = tape.inputs(f"{name}_", array.shape)
-        return list(arguments.values())[-len(arrays) :]
+        """One argument, flat, for arrays like these."""
+        name, ends = f"a{len(arguments)}", np.cumsum([array.size for array in arrays]).tolist()
+        flat = arguments[name] = tape.inputs(f"{name}_", (ends[-1],))
+        return [
+            flat[end - array.size : end].reshape(array.shape) for array, end in zip(arrays, ends, strict=True)
+        ]
 
-    state = _with_state_arrays(state, symbols(_state_arrays(state)))
-    inputs = ControllerInput(*symbols(_input_arrays(inputs)))
+    state = _with_state_arrays(state, symbols(_changing_arrays(state)), *symbols([zero]))
+    inputs = ControllerInput(
+        *symbols([zero]), *symbols([zero]), *symbols([zero]), *(symbols([zero]) if with_rate else [])
+    )
     means = symbols([zero, zero])
     gains = None if found.kalman is None else KalmanGains(*symbols(found.kalman))
-    parts = found, symbols(_coefficient_arrays(found))
-    parameters = _with_parameter_arrays(parameters, symbols(_parameter_arrays(parameters)))
-    found = _with_coefficient_arrays(*parts, parameters.model)._replace(kalman=gains)
-    advanced, output = advance(parameters, found, state, inputs, means)
+    given, free = _coefficient_arrays(found), _parameter_arrays(parameters)
+    numbers = symbols([*given, *free])
+    changed = _with_parameter_arrays(parameters, numbers[len(given) :])
+    found = _with_coefficient_arrays(found, numbers[: len(given)], changed.model)._replace(kalman=gains)
+    advanced, output = advance(changed, found, state, inputs, means)
     return compiled(tape, arguments, _results(advanced, output))
 
 
-def _with_state_arrays(state: ControllerState, arrays: list[Any]) -> ControllerState:
-    """A state with other `_state_arrays`."""
-    lagged, previous, filtered = arrays[6], arrays[-1], state.kalman
+def _with_state_arrays(state: ControllerState, arrays: list[Any], previous: Any) -> ControllerState:
+    """A state with other `_changing_arrays` and another last command."""
+    lagged, filtered = arrays[6], state.kalman
     if filtered is not None:
         filtered = structs.replace(filtered, estimate=arrays[7], rate=arrays[8], disturbance=arrays[9])
     return structs.replace(

@@ -17,6 +17,7 @@ from math import hypot, isnan
 
 import numpy as np
 
+from kffa_offboard.control import vehicle
 from kffa_offboard.control.observer import ObserverParameters
 from kffa_offboard.offboard import telemetry
 from kffa_offboard.offboard.course import course_problem
@@ -73,8 +74,7 @@ def unsettled(known: Telemetry, loop: LoopState | None) -> str | None:
     """The observers do not agree with what is measured yet."""
     if loop is None or known.attitude is None or known.position is None:
         return None
-    roll, pitch, _, _ = loop.controller.observer.estimate.tolist()
-    climb_rate = float(loop.controller.observer.rate[3])
+    (roll, pitch, _, _), (_, _, _, climb_rate), _ = vehicle.estimates(loop.controller)
     angle = max(abs(roll - known.attitude.attitude[0]), abs(pitch - known.attitude.attitude[1]))
     height = abs(loop.altitude - known.position.position[2])
     rate = abs(climb_rate - known.position.velocity[2])

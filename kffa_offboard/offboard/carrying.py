@@ -13,6 +13,7 @@ from math import exp
 from msgspec import Struct
 
 from kffa_offboard.control import controllers
+from kffa_offboard.control.plain import Vector
 
 BALANCE_S, SHORT_S, LONG_S = 0.1, 0.3, 2.0
 SWING = 0.05
@@ -44,17 +45,14 @@ class Carrying(Struct, frozen=True):
         return self.long if self.swings else self.balance
 
 
-def balancing(
-    parameters: controllers.ControllerParameters, state: controllers.ControllerState, thrust: float
-) -> float:
+def balancing(parameters: controllers.ControllerParameters, disturbance: Vector, thrust: float) -> float:
     """The thrust that balances the altitude channel's disturbance in a level attitude.
 
     For a controller that estimates none it is `thrust`, which was sent.
     """
     if parameters.observer is None:
         return thrust
-    disturbance = float(state.observer.disturbance[controllers.ALTITUDE])
-    return -disturbance / float(parameters.model.b0[controllers.ALTITUDE])
+    return -disturbance[controllers.ALTITUDE] / float(parameters.model.b0[controllers.ALTITUDE])
 
 
 def follow(state: Carrying | None, thrust: float, balance: float, dt: float) -> Carrying:

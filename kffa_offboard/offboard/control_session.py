@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from kffa_offboard.control import Array
+from kffa_offboard.control.plain import Vector
 from kffa_offboard.offboard import echo, telemetry
 from kffa_offboard.offboard.events import Severity, TargetReported
 from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
@@ -24,7 +24,7 @@ class ControlSession(RequestSession):
     def __init__(self, settings: ServiceSettings) -> None:
         super().__init__(settings)
         write_out(settings)
-        self._flown: Mapping[int, Array] = {}
+        self._flown: Mapping[int, Vector] = {}
         self._stepped: tuple[Order, LoopStep] | None = None
 
     def _control(self, time_us: int, dt: float) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from kffa_offboard.control import controllers
+from kffa_offboard.control import vehicle
 from kffa_offboard.offboard.events import AttitudeTarget
 from kffa_offboard.offboard.flight import FlightState, Phase, stands
 from kffa_offboard.offboard.guard import check_target
@@ -59,9 +59,9 @@ def fly_blind(
     (target,) = level
     if acting:
         assert known.attitude is not None and known.attitude_stream.arrival_us is not None
-        attitude, near = known.attitude.attitude, loop.controller.observer.estimate
+        attitude, (near, _, _) = known.attitude.attitude, vehicle.estimates(loop.controller)
         calm = command_of(settings, attitude, level_target(settings, attitude[2], target.thrust), near)
         after = (time_us - known.attitude_stream.arrival_us) * 1e-6
-        told = controllers.with_applied(settings.controller, loop.controller, calm, after)
-        loop = replace(loop.with_controller(told), vertical_thrust=float(calm[3]))
+        told = vehicle.with_applied(settings.controller, loop.controller, calm, after)
+        loop = replace(loop.with_controller(told), vertical_thrust=calm[3])
     return loop.resent(target, time_us), target

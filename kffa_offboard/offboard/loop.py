@@ -7,13 +7,14 @@ shadow: the observer is then told what the autopilot itself applies.
 
 from __future__ import annotations
 
-from math import exp
+from math import exp, isfinite
 
 import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from kffa_offboard.control import Array, controllers, payload
+from kffa_offboard.control import controllers, payload, vehicle
+from kffa_offboard.control.plain import PlainInput, PlainOutput, Vector
 from kffa_offboard.control.rotation import body_rates_of, euler_rates_of, wrap_angle
 from kffa_offboard.offboard.carrying import Carrying, balancing, follow
 from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
@@ -29,9 +30,9 @@ from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry, before_silence, reported_target, reported_thrust
 
-_FRESH = np.array([True, True, True, True])
-_FRESH_ATTITUDE = np.array([True, True, True, False])
-_NOTHING = np.zeros(4)
+_FRESH = (True, True, True, True)
+_FRESH_ATTITUDE = (True, True, True, False)
+_NOTHING = (0.0, 0.0, 0.0, 0.0)
 ROUNDING = 1e-9  # what a setpoint may change by on its way through body rates and back
 
 
@@ -58,7 +59,7 @@ class LoopState(Struct, frozen=True):
     horizontal : the position ring, None without one
     """
 
-    controller: controllers.ControllerState
+    controller: vehicle.State
     position_us: int
     altitude: float
     hold_altitude: float
@@ -74,7 +75,7 @@ class LoopState(Struct, frozen=True):
         """Where the vehicle comes to rest if it is told to hold now, from the captured position, m."""
         return (0.0, 0.0) if self.horizontal is None else self.horizontal.hold_offset
 
-    def with_controller(self, controller: controllers.ControllerState) -> LoopState:
+    def with_controller(self, controller: vehicle.State) -> LoopState:
         """Another controller state."""
         return replace(self, controller=controller)
 
@@ -110,7 +111,7 @@ class Order(Struct, frozen=True):
 
 
 class Trace(Struct, frozen=True):
-    """What a step leaves for those who watch; arrays ``(4,)``. `signals` puts it into plain numbers, later.
+    """What a step leaves for those who watch; `signals` puts it into the order of the log, later.
 
     Attributes
     ----------
@@ -122,10 +123,10 @@ class Trace(Struct, frozen=True):
     time_us: int
     dt: float
     place: tuple[float, float] | None
-    measured: Array
-    output: controllers.ControllerOutput
-    command: Array
-    applied: Array
+    measured: Vector
+    output: PlainOutput
+    command: Vector
+    applied: Vector
 
 
 class LoopStep(Struct, frozen=True):
@@ -151,10 +152,9 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
         return None
     measured = _measurement(known)
     applied = autopilot_command(settings, known, time_us, measured)
-    controller = controllers.initial_state(settings.controller, measured, applied)
-    altitude = float(measured[3])
+    controller = vehicle.initial_state(settings.controller, measured, applied)
+    altitude, thrust = measured[3], applied[3]
     horizontal = begin_horizontal(settings.position, known)
-    thrust = float(applied[3])
     return LoopState(
         controller, known.position.sample_time_us, altitude, altitude, thrust, horizontal=horizontal
     )
@@ -165,22 +165,22 @@ def forget_sent(loop: LoopState) -> LoopState:
     return replace(loop, sent=None, blend=None, carrying=None)
 
 
-def _measurement(known: Telemetry) -> Array:
+def _measurement(known: Telemetry) -> Vector:
     assert known.attitude is not None and known.position is not None
-    return np.array((*known.attitude.attitude, known.position.position[2]))
+    return (*known.attitude.attitude, known.position.position[2])
 
 
-def _measured_rate(known: Telemetry) -> Array:
+def _measured_rate(known: Telemetry) -> Vector:
     assert known.attitude is not None and known.position is not None
     rates = euler_rates_of(known.attitude.attitude, known.attitude.body_rates)
-    return np.array((*rates, known.position.velocity[2]))
+    return (*rates, known.position.velocity[2])
 
 
-def autopilot_command(settings: ServiceSettings, known: Telemetry, time_us: int, near: Array) -> Array:
-    """What the autopilot itself commands, in the controller's channels ``(4,)``.
+def autopilot_command(settings: ServiceSettings, known: Telemetry, time_us: int, near: Vector) -> Vector:
+    """What the autopilot itself commands, in the controller's channels.
 
     Thrust: reported target, else throttle, else hover thrust; zero while disarmed. Attitude: reported
-    target, else what is measured. Angles are given in the turn of `near` ``(4,)``.
+    target, else what is measured. Angles are given in the turn of `near`.
     """
     assert known.attitude is not None
     attitude = known.attitude.attitude
@@ -199,8 +199,8 @@ def autopilot_command(settings: ServiceSettings, known: Telemetry, time_us: int,
     return command_of(settings, attitude, AttitudeTarget(thrust, attitude=wanted or attitude), near)
 
 
-def _as_measured(settings: ServiceSettings, known: Telemetry, near: Array) -> Array:
-    """The command that asks for what the vehicle does anyway ``(4,)``, hovering."""
+def _as_measured(settings: ServiceSettings, known: Telemetry, near: Vector) -> Vector:
+    """The command that asks for what the vehicle does anyway, hovering."""
     assert known.attitude is not None
     rates, attitude = known.attitude.body_rates, known.attitude.attitude
     target = AttitudeTarget(settings.hover_thrust, body_rates=rates)
@@ -209,23 +209,23 @@ def _as_measured(settings: ServiceSettings, known: Telemetry, near: Array) -> Ar
     return command_of(settings, attitude, target, near)
 
 
-def command_of(settings: ServiceSettings, attitude: Vector3, target: AttitudeTarget, near: Array) -> Array:
-    """A setpoint in the controller's channels ``(4,)``; angles in the turn of `near` ``(4,)``."""
+def command_of(settings: ServiceSettings, attitude: Vector3, target: AttitudeTarget, near: Vector) -> Vector:
+    """A setpoint in the controller's channels; angles in the turn of `near`."""
     vertical = target.thrust * tilt_factor(settings.limits, attitude)
     if target.body_rates is not None:
         rates = euler_rates_of(attitude, target.body_rates)
-        return np.array((*rates, vertical))
+        return (*rates, vertical)
     assert target.attitude is not None
-    return controllers.wrap_near(np.array([*target.attitude, vertical]), near, settings.controller)
+    return vehicle.wrap_near((*target.attitude, vertical), near, settings.controller)
 
 
-def target_of(settings: ServiceSettings, attitude: Vector3, command: Array) -> AttitudeTarget:
-    """The setpoint for a command ``(4,)`` in the controller's channels."""
-    roll, pitch, yaw, vertical = command.tolist()
+def target_of(settings: ServiceSettings, attitude: Vector3, command: Vector) -> AttitudeTarget:
+    """The setpoint for a command in the controller's channels."""
+    roll, pitch, yaw, vertical = command
     thrust = vertical / tilt_factor(settings.limits, attitude)
     if settings.output == "rates":
         return AttitudeTarget(thrust, body_rates=body_rates_of(attitude, (roll, pitch, yaw)))
-    return AttitudeTarget(thrust, attitude=(roll, pitch, float(wrap_angle(yaw))))
+    return AttitudeTarget(thrust, attitude=(roll, pitch, float(wrap_angle(np.array(yaw)))))
 
 
 def level_target(settings: ServiceSettings, yaw: float, thrust: float) -> AttitudeTarget:
@@ -243,37 +243,38 @@ def step_loop(
     time_us: int,
     dt: float,
     *,
-    flown: Array | None = None,
+    flown: Vector | None = None,
 ) -> tuple[LoopState, LoopStep]:
     """One control step for the attitude sample that has just been accepted, `dt` s after the last one.
 
-    `flown` ``(4,)`` is the command that really acted, where that is not the one
+    `flown` is the command that really acted, where that is not the one
     made here: a recorded flight replayed with other gains. The observer is told of it, because the samples
     answer to it; NaN where it is not known in this output, which takes what is measured.
     """
     loop, measured, output = _step_controller(settings, loop, known, order, dt, replayed=flown is not None)
     near = output.estimate
-    if flown is not None and not np.all(np.isfinite(flown)):
-        flown = np.where(np.isfinite(flown), flown, _as_measured(settings, known, near))
+    if flown is not None and not all(map(isfinite, flown)):
+        pairs = zip(flown, _as_measured(settings, known, near), strict=True)
+        flown = tuple(command if isfinite(command) else instead for command, instead in pairs)
     own = _NOTHING if order.controls else autopilot_command(settings, known, time_us, near)
     place = position_reference(loop.horizontal, order.directive)
     if order.sending:
         trace = Trace(time_us, dt, place, measured, output, output.command, own)
         return _send(settings, loop, known, order, trace, flown)
     own = own if flown is None else flown
-    controller = controllers.with_applied(settings.controller, loop.controller, own)
-    loop = replace(loop, controller=controller, vertical_thrust=float(own[3]))
+    controller = vehicle.with_applied(settings.controller, loop.controller, own)
+    loop = replace(loop, controller=controller, vertical_thrust=own[3])
     return loop, LoopStep(None, Trace(time_us, dt, place, measured, output, output.command, own))
 
 
 def _step_controller(
     settings: ServiceSettings, loop: LoopState, known: Telemetry, order: Order, dt: float, *, replayed: bool
-) -> tuple[LoopState, Array, controllers.ControllerOutput]:
-    """Position ring and controller take the sample; returns the measurement ``(4,)``, too."""
+) -> tuple[LoopState, Vector, PlainOutput]:
+    """Position ring and controller take the sample; returns the measurement, too."""
     assert known.position is not None
     parameters, controller = settings.controller, loop.controller
     if order.directive.align:
-        controller = controllers.align_reference(parameters, controller)
+        controller = vehicle.align_reference(parameters, controller)
     measured, new_position = _measurement(known), known.position.sample_time_us != loop.position_us
     new_position = new_position and not before_silence(settings.telemetry, known, dt)
     horizontal, reference = step_horizontal(
@@ -286,9 +287,9 @@ def _step_controller(
         dt,
     )
     fresh = _FRESH if new_position else _FRESH_ATTITUDE
-    inputs = controllers.ControllerInput(np.array(reference), measured, fresh, _measured_rate(known))
-    controller, output = controllers.step(parameters, controller, inputs, dt)
-    altitude, climb_rate = float(output.estimate[3]), float(output.estimate_rate[3])
+    inputs = PlainInput(reference, measured, fresh, _measured_rate(known))
+    controller, output = vehicle.step(parameters, controller, inputs, dt)
+    altitude, climb_rate = output.estimate[3], output.estimate_rate[3]
     loop = LoopState(  # by place, in a third of the time of `_replace`
         controller,
         known.position.sample_time_us,
@@ -310,47 +311,43 @@ def _send(
     known: Telemetry,
     order: Order,
     trace: Trace,
-    flown: Array | None,
+    flown: Vector | None,
 ) -> tuple[LoopState, LoopStep]:
     """Make the setpoint, have it checked, and tell the observer; `trace.applied` is the autopilot's own."""
     assert known.attitude is not None
     output, own, time_us, near = trace.output, trace.applied, trace.time_us, trace.output.estimate
-    loop, wanted, target = _wish(settings, loop, known, order, time_us, output.command, float(own[3]), near)
+    loop, wanted, target = _wish(settings, loop, known, order, time_us, output.command, own[3], near)
     since = max(trace.dt, (time_us - loop.sent_us) * 1e-6)
     checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
     if checked.target is None:
         return loop, LoopStep(None, replace(trace, command=wanted, applied=wanted), checked.fault)
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
-    controller, thrust = _told(settings, loop.controller, output, applied), checked.target.thrust
+    controller, thrust = loop.controller, checked.target.thrust
+    if applied is not output.command:  # its own it knows
+        controller = vehicle.with_applied(settings.controller, controller, applied)
     loop = LoopState(
         controller,
         loop.position_us,
         loop.altitude,
         loop.hold_altitude,
-        float(sent[3] if flown is None else flown[3]),
-        follow(loop.carrying, thrust, balancing(settings.controller, controller, thrust), since),
+        sent[3] if flown is None else flown[3],
+        follow(loop.carrying, thrust, balancing(settings.controller, output.disturbance, thrust), since),
         checked.target,
         time_us,
         loop.blend,
         loop.horizontal,
     )
     if sent is not wanted:
-        output = replace(output, saturated=output.saturated | (np.abs(sent - wanted) > ROUNDING))
+        output = replace(output, saturated=_limited(output, sent, wanted))
     trace = Trace(time_us, trace.dt, trace.place, trace.measured, output, sent, applied)
     return loop, LoopStep(checked.target, trace)
 
 
-def _told(
-    settings: ServiceSettings,
-    controller: controllers.ControllerState,
-    output: controllers.ControllerOutput,
-    applied: Array,
-) -> controllers.ControllerState:
-    """The controller, told which command acts; its own it knows."""
-    if applied is output.command:
-        return controller
-    return controllers.with_applied(settings.controller, controller, applied)
+def _limited(output: PlainOutput, sent: Vector, wanted: Vector) -> tuple[bool, ...]:
+    """Which channels the law limited, or the guard."""
+    pairs = zip(output.saturated, sent, wanted, strict=True)
+    return tuple(limited or abs(command - wish) > ROUNDING for limited, command, wish in pairs)
 
 
 def _wish(
@@ -359,10 +356,10 @@ def _wish(
     known: Telemetry,
     order: Order,
     time_us: int,
-    command: Array,
+    command: Vector,
     own_vertical: float,
-    near: Array,
-) -> tuple[LoopState, Array, AttitudeTarget]:
+    near: Vector,
+) -> tuple[LoopState, Vector, AttitudeTarget]:
     """Command and setpoint before the guard: level with a given thrust, or the controller's, blended."""
     assert known.attitude is not None
     attitude = known.attitude.attitude
@@ -370,30 +367,30 @@ def _wish(
         target = level_target(settings, order.directive.reference[2], order.directive.ground_thrust)
         return replace(loop, blend=None), command_of(settings, attitude, target, near), target
     if order.capture:
-        loop = replace(loop, blend=Blend(own_vertical - float(command[3]), time_us))
+        loop = replace(loop, blend=Blend(own_vertical - command[3], time_us))
     if loop.blend is not None:
         age = (time_us - loop.blend.since_us) * 1e-6
         fading = loop.blend.offset * exp(-age / settings.sequence.blend_time_s)
-        command = command + np.array([0.0, 0.0, 0.0, fading])
+        command = (*command[:3], command[3] + fading)
     return loop, command, target_of(settings, attitude, command)
 
 
 def signals(trace: Trace, state_name: str, latency_s: float) -> Signals:
-    """The trace of a step in plain numbers; what it does not know is the service's state and the latency."""
+    """The trace of a step as events have it; what it does not know is the service's state and the latency."""
     output = trace.output
     return Signals(  # by place: names would cost three times as much
         trace.time_us,
         state_name,
-        tuple(output.reference.tolist()),
-        tuple(output.reference_rate.tolist()),
-        tuple(trace.measured.tolist()),
-        tuple(output.estimate.tolist()),
-        tuple(output.estimate_rate.tolist()),
-        tuple(output.disturbance.tolist()),
-        tuple(output.omega_c.tolist()),
-        tuple(trace.command.tolist()),
-        tuple(trace.applied.tolist()),
-        tuple(output.saturated.tolist()),
+        output.reference,
+        output.reference_rate,
+        trace.measured,
+        output.estimate,
+        output.estimate_rate,
+        output.disturbance,
+        output.omega_c,
+        trace.command,
+        trace.applied,
+        output.saturated,
         trace.dt,
         latency_s,
         trace.place,

@@ -12,6 +12,7 @@ from typing import Literal
 from msgspec import Struct
 from msgspec.structs import replace
 
+from kffa_offboard.control import vehicle
 from kffa_offboard.offboard import events, telemetry, trust
 from kffa_offboard.offboard.engage_session import EngageSession
 from kffa_offboard.offboard.events import Severity
@@ -151,7 +152,7 @@ class PayloadSession(EngageSession):
         assert release is not None
         self._release_plan = None
         if self._loop is not None:
-            if self._loop.controller.expected is None and time_us >= release.shows_us:
+            if not vehicle.expects_step(self._loop.controller) and time_us >= release.shows_us:
                 step = release.before - altitude_disturbance(self._loop)
                 self._loop = with_altitude_step(self.settings.controller, self._loop, step)
             else:
@@ -191,7 +192,7 @@ class PayloadSession(EngageSession):
         sample = PayloadSample(
             time_us=time_us,
             dt=trace.dt,
-            thrust=float(trace.applied[3]) / tilt_factor(self.settings.limits, attitude),
+            thrust=trace.applied[3] / tilt_factor(self.settings.limits, attitude),
             attitude=attitude,
             climb_rate=known.position.velocity[2],
             fresh=known.position.sample_time_us != self._position_us and not old,

@@ -11,9 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
-from kffa_offboard.control import controllers
+from kffa_offboard.control import controllers, vehicle
 from kffa_offboard.control.payload import GRAVITY
 from kffa_offboard.offboard.loop import LoopState
 from kffa_offboard.offboard.payload_settings import PayloadSettings
@@ -59,7 +57,8 @@ def plan_release(
 
 def altitude_disturbance(loop: LoopState) -> float:
     """Disturbance estimate of the altitude channel, m/s^2."""
-    return float(loop.controller.observer.disturbance[controllers.ALTITUDE])
+    _, _, disturbance = vehicle.estimates(loop.controller)
+    return disturbance[controllers.ALTITUDE]
 
 
 def with_altitude_step(
@@ -67,7 +66,5 @@ def with_altitude_step(
 ) -> LoopState:
     """The altitude channel's disturbance changes by `step`, m/s^2, `after_s` s from now."""
     return loop.with_controller(
-        controllers.with_disturbance_step(
-            parameters, loop.controller, np.array([0.0, 0.0, 0.0, step]), after_s
-        )
+        vehicle.with_disturbance_step(parameters, loop.controller, (0.0, 0.0, 0.0, step), after_s)
     )

@@ -25,7 +25,7 @@ from operator import itemgetter
 
 from msgspec.structs import replace
 
-from kffa_offboard.control import Array
+from kffa_offboard.control.plain import Vector
 from kffa_offboard.offboard import admission, echo, events, telemetry, trust
 from kffa_offboard.offboard.control_session import ControlSession
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
@@ -62,7 +62,7 @@ class Service(ControlSession):
     other settings than it was flown with (see `loop.step_loop`).
     """
 
-    def __init__(self, settings: ServiceSettings, *, flown: Mapping[int, Array] | None = None) -> None:
+    def __init__(self, settings: ServiceSettings, *, flown: Mapping[int, Vector] | None = None) -> None:
         super().__init__(settings)
         if flown is not None:
             self._flown = flown

@@ -12,6 +12,7 @@ from typing import Protocol
 
 from msgspec.structs import replace
 
+from kffa_offboard.control import vehicle
 from kffa_offboard.control.retuning import retuned
 from kffa_offboard.offboard.loop import LoopState
 from kffa_offboard.offboard.settings import ServiceSettings
@@ -79,7 +80,8 @@ def adopt(loop: LoopState | None, before: ServiceSettings, after: ServiceSetting
         raise ValueError("what is commanded cannot be changed in flight")
     if loop is None:
         return None
-    loop = replace(loop, controller=retuned(before.controller, after.controller, loop.controller))
+    standing = vehicle.as_arrays(loop.controller)
+    loop = replace(loop, controller=retuned(before.controller, after.controller, standing))
     if loop.horizontal is None or before.position is None or after.position is None:
         return loop
     rings = before.position.ring.controller, after.position.ring.controller

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
-
-import numpy as np
+from math import nan
 
 from kffa_offboard.config import DaemonConfig
 from kffa_offboard.config_log import make_companion, recorded_keeper
-from kffa_offboard.control import Array
+from kffa_offboard.control.plain import Vector
 from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.mavlink.commands import is_timesync_request
 from kffa_offboard.mavlink.component import Component, Route
@@ -26,12 +25,12 @@ from kffa_offboard.replay.uncollected import uncollected
 class Replayed:
     """What the session did: frames that it sent and frames of its inner signals, with their times [us].
 
-    `applied` ``(4,)`` is what the observer was told at each control step, by its time, unrounded.
+    `applied` is what the observer was told at each control step, by its time, unrounded.
     """
 
     sent: list[Frame] = field(default_factory=list)
     signals: list[Frame] = field(default_factory=list)
-    applied: dict[int, Array] = field(default_factory=dict)
+    applied: dict[int, Vector] = field(default_factory=dict)
 
 
 class NoLink:
@@ -79,7 +78,7 @@ class _Collector:
 
     def write_signals(self, signals: Signals) -> None:
         self.replayed.signals.append((signals.time_us, self._signals.pack(to_message(signals))))
-        self.replayed.applied[signals.time_us] = np.array(signals.applied)
+        self.replayed.applied[signals.time_us] = signals.applied
 
     def write_begin(self, time_us: int) -> None:
         pass
@@ -103,13 +102,12 @@ def replay_what_if(recording: Recording, flown: DaemonConfig, config: DaemonConf
     """
     applied = replay(recording, flown).applied
     if config.service.output != flown.service.output:
-        unknown = np.array([np.nan, np.nan, np.nan, 0.0])
-        applied = {time_us: command + unknown for time_us, command in applied.items()}
+        applied = {time_us: (nan, nan, nan, command[3]) for time_us, command in applied.items()}
     return replay(recording, config, applied)
 
 
 @uncollected()
-def replay(recording: Recording, config: DaemonConfig, flown: Mapping[int, Array] | None = None) -> Replayed:
+def replay(recording: Recording, config: DaemonConfig, flown: Mapping[int, Vector] | None = None) -> Replayed:
     """Drive the session of `config` through everything that came in, at the times when it came.
 
     `flown` are the commands that acted, by the times of the control steps, if they are not the session's own.

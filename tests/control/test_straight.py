@@ -14,7 +14,6 @@ from msgspec.structs import astuple
 from kffa_offboard.config import bundled, load
 from kffa_offboard.control import composition, controllers, straight
 from kffa_offboard.control.controllers import ControllerInput
-from kffa_offboard.control.covariance import Covariance
 
 LADRC = load(bundled("demo-px4.toml")).service.controller
 VARIANTS = {
@@ -27,17 +26,6 @@ VARIANTS = {
     "published rules": replace(LADRC, fuzzy=replace(LADRC.fuzzy, rules="published")),
     "literal filter": replace(LADRC, kalman=replace(LADRC.kalman, model="literal")),
 }
-
-
-def leaves(value):
-    """All numbers of a state or an output, flat, whether of one vehicle or of a batch of one."""
-    if isinstance(value, Struct):
-        value = astuple(value)
-    if isinstance(value, tuple):
-        return np.concatenate([leaves(part) for part in value]) if value else np.empty(0)
-    if isinstance(value, Covariance):
-        value = value.matrix
-    return np.empty(0) if value is None else np.asarray(value, dtype=float).reshape(-1)
 
 
 def as_batch(value, channels):
@@ -56,7 +44,7 @@ def initial(parameters):
 @pytest.mark.parametrize("name", VARIANTS)
 @settings(max_examples=20)
 @given(seed=st.integers(0, 10_000), with_rate=st.booleans(), noise=st.sampled_from([0.001, 0.1, 3.0]))
-def test_the_same_numbers_as_the_array_code(name, seed, with_rate, noise):
+def test_the_same_numbers_as_the_array_code(leaves, name, seed, with_rate, noise):
     parameters, random = VARIANTS[name], np.random.default_rng(seed)
     state, size = initial(parameters), len(parameters.angular)
     for _ in range(25):
@@ -123,7 +111,7 @@ def test_rare_steps_are_left_to_the_array_code():
     assert not straight.is_straight(LADRC, batch, 0.01)
 
 
-def test_numbers_that_are_set_in_flight_need_no_other_function():
+def test_numbers_that_are_set_in_flight_need_no_other_function(leaves):
     other = replace(
         LADRC,
         law=replace(LADRC.law, omega_c=1.2 * LADRC.law.omega_c),

@@ -3,9 +3,11 @@
 from dataclasses import replace
 from math import inf, pi
 
+import numpy as np
 import pytest
 from msgspec import structs
 
+from kffa_offboard.control import vehicle
 from kffa_offboard.offboard import events, external
 from kffa_offboard.offboard.course import Bounds, course_problem
 from kffa_offboard.offboard.events import PositionSetpoint, Signals
@@ -124,11 +126,9 @@ def test_estimates_that_have_not_settled_forbid_engaging(fake):
     flight = fake.Lockstep(fake.settings(engage=False, scenario=(Hold(9.0),)), fake.airborne())
     flight.run_to(State.READY)
     loop = flight.service._loop
-    observer = loop.controller.observer
-    rate = observer.rate.copy()
-    rate[3] += 2.0
-    flight.service._loop = loop.with_controller(
-        structs.replace(loop.controller, observer=structs.replace(observer, rate=rate))
-    )
+    controller = vehicle.as_arrays(loop.controller)
+    rate = controller.observer.rate + np.array([0.0, 0.0, 0.0, 2.0])
+    wrong = structs.replace(controller.observer, rate=rate)
+    flight.service._loop = loop.with_controller(structs.replace(controller, observer=wrong))
     flight.give(events.EngageRequested())
     assert flight.texts[-1].startswith("not engaged: estimates are settling: climb rate off by 2")

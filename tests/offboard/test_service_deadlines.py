@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from kffa_offboard.control import vehicle
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget
 from kffa_offboard.offboard.service import State
@@ -57,12 +58,11 @@ def test_the_command_before_the_silence_acts_until_the_level_setpoint_goes_out(f
     flight.run(0.25)
     ((time_us, level),) = flight.sent(AttitudeTarget)
     loop = flight.service._loop
-    assert loop.controller.actuator.ages[-1] == pytest.approx(-(time_us - last_us) * 1e-6)
+    under_way = vehicle.as_arrays(loop.controller).actuator
+    assert under_way.ages[-1] == pytest.approx(-(time_us - last_us) * 1e-6)
     roll, pitch, _ = flight.service._known.attitude.attitude
-    assert loop.controller.actuator.commands[-1][3] == pytest.approx(
-        level.thrust * np.cos(roll) * np.cos(pitch)
-    )
-    assert loop.vertical_thrust == loop.controller.actuator.commands[-1][3]
+    assert under_way.commands[-1][3] == pytest.approx(level.thrust * np.cos(roll) * np.cos(pitch))
+    assert loop.vertical_thrust == under_way.commands[-1][3]
 
 
 def test_on_the_ground_the_last_setpoint_is_repeated(fake):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from kffa_offboard.control import controllers
+from kffa_offboard.control import vehicle
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.segments import Takeoff
@@ -318,13 +318,13 @@ def test_a_failsafe_before_control_was_granted_leaves_the_pilot_the_vehicle(fake
 
 def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeypatch):
     flight = fake.hovering()
-    honest = controllers.step
+    honest = vehicle.step
 
     def broken(*arguments):
         state, output = honest(*arguments)
-        return state, structs.replace(output, command=np.array([0.0, nan, 0.0, 0.4]))
+        return state, structs.replace(output, command=(0.0, nan, 0.0, 0.4))
 
-    monkeypatch.setattr(controllers, "step", broken)
+    monkeypatch.setattr(vehicle, "step", broken)
     flight.tick()
     assert [target.attitude[:2] for _, target in flight.sent(AttitudeTarget)] == [(0.0, 0.0)]
     assert_failsafe(flight, "setpoint is not a finite number")
