@@ -107,6 +107,14 @@ def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
     return b"\xfd" + covered + checksum(covered, layout.crc_extra)
 
 
+def is_whole(frame: bytes, kind: Any) -> bool:
+    """True for a whole, undamaged, unsigned MAVLink 2 frame of one of pymavlink's message classes."""
+    if len(frame) < OVERHEAD or frame[0] != _MARKER or frame[2] or len(frame) != frame[1] + OVERHEAD:
+        return False
+    known = int.from_bytes(frame[7:10], "little") == kind.id
+    return known and checksum(frame[1:-2], _layout(kind).crc_extra) == frame[-2:]
+
+
 def unpack(frame: bytes) -> Any | None:
     """The message in a whole, undamaged, unsigned MAVLink 2 frame of a known type; None for anything else."""
     if len(frame) < OVERHEAD or frame[0] != _MARKER or frame[2] or len(frame) != frame[1] + OVERHEAD:
@@ -124,7 +132,7 @@ def unpack(frame: bytes) -> Any | None:
     message._msgbuf = frame
     message._payload = frame[6:-2]  # so pymavlink has it
     (message._crc,) = _CHECKSUM.unpack(frame[-2:])
-    header = message.get_header()
+    header = message._header
     header.mlen, header.incompat_flags, header.compat_flags = length, flags, other_flags
     header.seq, header.srcSystem, header.srcComponent = sequence, system, component
     return message

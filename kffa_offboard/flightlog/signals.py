@@ -9,6 +9,7 @@ Values are float32 on the wire; `time_usec` is exact. Reading them from a file: 
 
 from __future__ import annotations
 
+import struct
 from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -19,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.frame_codec import is_whole
 from kffa_offboard.offboard.events import Signals
 
 NAME = "kffa"
@@ -49,6 +51,7 @@ _PLACE = _SATURATED + CHANNELS
 _SIZE = 58
 _LATENCY = _SIZE - 1
 _NAME = NAME.encode()
+_HEAD = struct.Struct(f"<QH10s{4 * _STATE}xf")  # time, array_id, name, and the state behind the blocks
 _NO_PLACE = (0.0, 0.0, 0.0)
 _SPARE = (0.0,) * (_LATENCY - _PLACE - len(_NO_PLACE))
 _blocks = attrgetter(*BLOCKS)
@@ -116,6 +119,15 @@ def is_signals(message: Any, array_id: int = ARRAY_ID) -> bool:
         and 0.0 <= message.data[_STATE] < len(STATE_NAMES)
         and message.time_usec < LATEST_US
     )
+
+
+def is_signal_frame(frame: bytes) -> bool:
+    """`is_signals` for a frame, without decoding it; False for a frame that is damaged or signed."""
+    if not is_whole(frame, mavlink.MAVLink_debug_float_array_message):
+        return False
+    time_us, array_id, name, state = _HEAD.unpack(frame[10:-2].ljust(_HEAD.size, b"\0")[: _HEAD.size])
+    of_log = array_id == ARRAY_ID and name.rstrip(b"\0") == _NAME
+    return bool(of_log and 0.0 <= state < len(STATE_NAMES) and time_us < LATEST_US)
 
 
 def from_message(message: Any) -> Signals:

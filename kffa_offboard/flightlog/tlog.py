@@ -8,7 +8,7 @@ import struct
 import zlib
 from collections.abc import Collection, Iterator
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import Any, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
@@ -20,7 +20,7 @@ from kffa_offboard.frame_codec import decode
 TIMESTAMP = struct.Struct(">Q")
 GZIP_MAGIC = b"\x1f\x8b"
 
-_Source: TypeAlias = IO[bytes] | io.BufferedReader
+_Source: TypeAlias = io.BufferedReader | gzip.GzipFile
 
 _MARKER_V1 = 0xFE
 _MARKER_V2 = 0xFD
@@ -28,6 +28,8 @@ _HEAD_SIZE = 3  # marker, payload length, incompatibility flags: enough to know 
 _OVERHEAD_V1 = 8
 _OVERHEAD_V2 = 12
 _SIGNATURE_SIZE = 13
+_LONGEST_RECORD = TIMESTAMP.size + _OVERHEAD_V2 + 255 + _SIGNATURE_SIZE
+_BLOCK = 1 << 16
 
 SIGNAL_KINDS = (mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,)
 
@@ -105,33 +107,47 @@ class TlogReader:
             ) from error
 
     def _records(self, file: _Source) -> Iterator[tuple[int, bytes]]:
-        while head := file.read(TIMESTAMP.size + _HEAD_SIZE):
-            if len(head) < TIMESTAMP.size + _HEAD_SIZE:
+        data, at = b"", 0  # what of the file was read last, and where in it the next record begins
+        position = 0  # of this part in the file
+        while True:
+            while len(data) - at < _LONGEST_RECORD and (more := self._more(file)):
+                data, at, position = data[at:] + more, 0, position + at
+            begins = at + TIMESTAMP.size
+            if at == len(data):
+                return
+            if len(data) < begins + _HEAD_SIZE:
                 self.truncated = True
                 return
-            size = frame_size(head[TIMESTAMP.size :])
+            size = frame_size(data[begins : begins + _HEAD_SIZE])
             if size is None:
-                self._end_or_damage(file, head)
+                self._end_or_damage(file, data[at:], position + at)
                 return
-            rest = file.read(size - _HEAD_SIZE)
-            if len(rest) < size - _HEAD_SIZE:
+            if len(data) < begins + size:
                 self.truncated = True
                 return
-            (time_us,) = TIMESTAMP.unpack_from(head)
+            (time_us,) = TIMESTAMP.unpack_from(data, at)
+            at = begins + size
             if time_us < LATEST_US:
-                yield time_us, head[TIMESTAMP.size :] + rest
+                yield time_us, data[begins:at]
             else:
                 self.damaged += 1
+
+    def _more(self, file: _Source) -> bytes:
+        """The next bytes of the file; none at its end, or where a compressed one was cut short."""
+        try:
+            return file.read1(_BLOCK)
+        except EOFError:
+            self.truncated = True
+            return b""
 
     def _evened(self, records: Iterator[tuple[int, bytes]]) -> Iterator[tuple[int, bytes]]:
         clock = EvenClock()
         self.clock_steps_s = clock.steps_s
         return clock.even(records)
 
-    def _end_or_damage(self, file: _Source, head: bytes) -> None:
+    def _end_or_damage(self, file: _Source, rest: bytes, position: int) -> None:
         """Zeros up to the end are what a file system leaves after a power cut; anything else is no log."""
-        position = file.tell() - len(head)
-        if any(head) or any(file.read()):
+        if any(rest) or any(file.read()):
             raise UserError(
                 f"flight log {self._path}: no MAVLink frame at byte {position}; "
                 "the file is damaged or not a .tlog"
@@ -144,7 +160,7 @@ def _open(path: Path) -> _Source:
     if not file.peek(2).startswith(GZIP_MAGIC):
         return file
     file.close()
-    return io.BufferedReader(gzip.open(path, "rb"))  # GzipFile itself reads a few bytes slowly
+    return gzip.open(path, "rb")
 
 
 def read_tlog(path: Path, *, even: bool = False, kinds: Collection[int] | None = None) -> TlogReader:

@@ -9,6 +9,7 @@ the controller's axes and units.
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import chain
 from operator import attrgetter
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -30,11 +31,9 @@ SIGNAL_NAMES = {
 }
 """Ending of a name on the wire -> field of `Signals`; with the channel before it 10 characters at most."""
 
-_NAMED = tuple(
-    (f"{channel}_{ending}", attrgetter(name), k)
-    for ending, name in SIGNAL_NAMES.items()
-    for k, channel in enumerate(CHANNEL_NAMES)
-)
+_NAMES = [*(f"{channel}_{ending}" for ending in SIGNAL_NAMES for channel in CHANNEL_NAMES), "LATENCY_S"]
+_WIRE_NAMES = [name.encode() for name in _NAMES]
+_blocks = attrgetter(*SIGNAL_NAMES.values())
 
 ToArray = Callable[[Signals], Message]
 """Packs signals as DEBUG_FLOAT_ARRAY; it belongs to the log, which this layer does not know."""
@@ -42,15 +41,19 @@ ToArray = Callable[[Signals], Message]
 
 def named_values(signals: Signals) -> list[tuple[str, float]]:
     """Names and values: ``ROLL_REF``, ..., ``ALT_CMD``, and ``LATENCY_S``."""
-    return [*((name, block(signals)[k]) for name, block, k in _NAMED), ("LATENCY_S", signals.latency_s)]
+    return list(zip(_NAMES, _values(signals), strict=True))
+
+
+def _values(signals: Signals) -> list[float]:
+    return [*chain.from_iterable(_blocks(signals)), signals.latency_s]
 
 
 def named_messages(signals: Signals) -> list[Message]:
     """One NAMED_VALUE_FLOAT for each of `named_values`; `time_boot_ms` is our own clock's."""
     time_ms = signals.time_us // 1000 % 2**32
     return [
-        mavlink.MAVLink_named_value_float_message(time_ms, name.encode(), value)
-        for name, value in named_values(signals)
+        mavlink.MAVLink_named_value_float_message(time_ms, name, value)
+        for name, value in zip(_WIRE_NAMES, _values(signals), strict=True)
     ]
 
 
@@ -83,6 +86,7 @@ class SignalStreams:
             self._packers[DEBUG_VECT] = lambda signals: [vector_message(signals, vector)]
         self._interval_us = dict.fromkeys(self._packers, self._default_us)
         self._due_us: dict[int, int] = {}
+        self._next_us = 0  # before that none is due
         self._last: Signals | None = None
 
     @property
@@ -98,6 +102,7 @@ class SignalStreams:
         """As MAV_CMD_SET_MESSAGE_INTERVAL: 0 is the default rate, -1 is off."""
         self._interval_us[message_id] = self._default_us if interval_us == 0 else interval_us
         self._due_us.pop(message_id, None)
+        self._next_us = 0
 
     def latest(self, message_id: int) -> list[Message]:
         """The last signals once; none before the first control step."""
@@ -106,6 +111,8 @@ class SignalStreams:
     def take(self, signals: Signals) -> list[Message]:
         """What is to be sent of one control step. Intervals keep their grid: none is lost to rounding."""
         self._last = signals
+        if signals.time_us < self._next_us:
+            return []
         messages: list[Message] = []
         for message_id, pack in self._packers.items():
             interval_us = self._interval_us[message_id]
@@ -115,4 +122,6 @@ class SignalStreams:
             late = signals.time_us - due_us > interval_us
             self._due_us[message_id] = (signals.time_us if late else due_us) + interval_us
             messages += pack(signals)
+        on = [due_us for message_id, due_us in self._due_us.items() if self._interval_us[message_id] >= 0]
+        self._next_us = min(on, default=signals.time_us)
         return messages

@@ -35,7 +35,7 @@ class ControlSession(RequestSession):
             self.settings, self._loop, self._known, order, time_us, dt, flown=self._flown.get(time_us)
         )
         if order.sending and result.target is not None:
-            self._emit(result.target)
+            self._outputs.append(result.target)
             self._echo = echo.send(self._echo, time_us, result.target.thrust)
         self._stepped = order, result
         if result.fault is not None:
@@ -62,7 +62,7 @@ class ControlSession(RequestSession):
         assert self._stepped is not None
         (order, result), self._stepped = self._stepped, None
         latency_s = telemetry.latency_s(self._known, self._link, time_us)
-        self._emit(signals(result.trace, order.state_name, latency_s))
+        self._outputs.append(signals(result.trace, order.state_name, latency_s))
         if result.fault is None:
             self._watch_payload(time_us, result.trace, order)
 

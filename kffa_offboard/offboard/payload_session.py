@@ -207,7 +207,7 @@ class PayloadSession(EngageSession):
             self._awareness = begin_awareness(sample)
             return
         self._awareness, outputs = step_awareness(settings, self._awareness, sample)
-        self._emit(*outputs)
+        self._outputs += outputs
         if self._awareness.expected is None and self._release_plan is not None:
             self._release_plan = None  # its outcome has been announced
 

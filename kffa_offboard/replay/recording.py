@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.notes import End, Header, Lost, Note, NoteReader, is_note
 from kffa_offboard.flightlog.parts import following_parts
-from kffa_offboard.flightlog.signals import is_signals
+from kffa_offboard.flightlog.signals import is_signal_frame
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.frame_codec import decode
 from kffa_offboard.offboard.events import ProcessReport
@@ -96,6 +96,10 @@ class _Reader:
             self._sent.append((time_us, frame))
             self._last_us = time_us
             return
+        if self._header is not None and self._is_ours(frame) and is_signal_frame(frame):
+            self._signals.append((time_us, frame))
+            self._last_us = time_us
+            return
         try:
             message = decode(frame)
         except mavlink.MAVError:
@@ -110,7 +114,7 @@ class _Reader:
             )
         self._last_us = time_us
         if self._is_ours(frame):
-            (self._signals if is_signals(message) else self._sent).append((time_us, frame))
+            self._sent.append((time_us, frame))
         else:
             self._came(time_us, message)
 

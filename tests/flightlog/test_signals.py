@@ -15,10 +15,12 @@ from kffa_offboard.flightlog.signals import (
     LIVE_ARRAY_ID,
     STATE_NAMES,
     from_message,
+    is_signal_frame,
     is_signals,
     table,
     to_message,
 )
+from kffa_offboard.frame_codec import decode
 from kffa_offboard.offboard.events import Signals
 from kffa_offboard.offboard.service import State
 
@@ -112,3 +114,22 @@ def test_a_log_without_signals_gives_empty_arrays():
     rows = table([])
     assert rows.time_s.shape == (0,)
     assert rows.disturbance.shape == (0, 4)
+
+
+@given(signals_values, st.integers(0, 300), st.integers(0, 255), st.sampled_from([0, 1]))
+def test_a_frame_of_the_log_is_known_without_decoding_it_and_a_damaged_one_is_not(
+    signals, at, bits, array_id
+):
+    frame = bytearray(to_message(signals, array_id).pack(mavlink.MAVLink(None, 245, 191)))
+    assert is_signal_frame(bytes(frame)) == is_signals(decode(bytes(frame))) == (array_id == 0)
+    frame[at % len(frame)] ^= bits
+    assert is_signal_frame(bytes(frame)) == (array_id == 0 and bits == 0)
+
+
+def test_a_log_frame_with_a_state_that_there_is_not_is_no_signal():
+    packer = mavlink.MAVLink(None, 245, 191)
+    for data in ([0.0] * 36 + [7.0] + [0.0] * 21, [0.0] * 36 + [math.nan] + [0.0] * 21):
+        frame = bytes(mavlink.MAVLink_debug_float_array_message(5, b"kffa", 0, data).pack(packer))
+        assert not is_signal_frame(frame) and not is_signals(decode(frame))
+    other = bytes(mavlink.MAVLink_debug_float_array_message(5, b"theirs", 0, [0.0] * 58).pack(packer))
+    assert not is_signal_frame(other) and not is_signals(decode(other))
