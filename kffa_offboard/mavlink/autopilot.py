@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import ClassVar, Literal, TypeAlias
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -76,6 +76,11 @@ class Autopilot(ABC):
         }
         self._arming = True
         self._custom_mode = 0
+
+    @property
+    def kinds(self) -> Collection[str]:
+        """Types of messages that are decoded."""
+        return self._decoders.keys()
 
     # ------------------------------------------------------------- what differs
 

@@ -51,6 +51,10 @@ ProcessRequest: TypeAlias = (
 """What comes in no MAVLink message, but from the daemon's own process or its link."""
 
 
+_OTHER_KINDS = RivalWatch.MESSAGES | Companion.MESSAGES | frozenset(parameter_keeper.MESSAGES)
+"""Messages that somebody else than the vehicle's adapter looks at."""
+
+
 class OffboardService(Protocol):
     """What the shell needs of `offboard.service.Service`. Times are integer microseconds."""
 
@@ -176,6 +180,9 @@ class Session:
         if self._recorder is not None:
             self._recorder.write(time_us, bytes(message.get_msgbuf()))
         kind, from_target = message.get_type(), self.route.from_target(message)
+        if kind not in self._vehicle.kinds and kind not in _OTHER_KINDS and self.service.finished is None:
+            self.counters.telemetry_received += from_target
+            return False  # it says nothing to anybody here
         noticed = self._rivals.watch(time_us, message) if kind in RivalWatch.MESSAGES else None
         if noticed is not None:
             self.tell(time_us, noticed)
@@ -183,10 +190,10 @@ class Session:
             self.counters.telemetry_received += 1
             self._handle_target(time_us, kind, message)
         if kind in Companion.MESSAGES:
-            self._due_known = False
             for event in self._companion.receive(time_us, message):
                 self.tell(time_us, event)
-            self._may_reply = True
+            if kind != "TIMESYNC":  # to which there is no reply
+                self._due_known, self._may_reply = False, True
         if self._may_reply:
             self._reply(time_us)
         return from_target and kind == "ATTITUDE"

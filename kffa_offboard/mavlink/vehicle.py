@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
@@ -46,6 +48,10 @@ class Vehicle:
     Whatever other systems and components say is ignored, their heartbeats above all: a ground
     station or a gimbal must not be taken for the autopilot. Nothing is decoded before the first
     heartbeat has told which firmware it is.
+
+    Attributes
+    ----------
+    kinds : types of messages of which `decode` makes events
     """
 
     def __init__(self, route: Route, guided_mode: GuidedMode = "guided") -> None:
@@ -54,6 +60,7 @@ class Vehicle:
         self._autopilot: Autopilot | None = None
         self._identity: tuple[int, int] | None = None
         self._text_id = 0
+        self.kinds: Collection[str] = ("HEARTBEAT",)
 
     @property
     def firmware(self) -> Firmware | None:
@@ -103,6 +110,7 @@ class Vehicle:
             self._check_supported(heartbeat)
             kind = _AUTOPILOTS[heartbeat.autopilot]
             self._autopilot = kind(self._route, TelemetryDecoder(), self._guided_mode)
+            self.kinds = self._autopilot.kinds
             self._identity = identity
         return identity == self._identity
 

@@ -47,6 +47,7 @@ from kffa_offboard.offboard.state import IDLE, SENDING, Finished, State
 __all__ = ["Finished", "Service", "State"]
 
 Deadline = tuple[int, Callable[[int], None]]
+_moment = itemgetter(0)
 
 QUIET_SHARE = 0.4
 """Of the silence that ends control; telemetry is asked for again then."""
@@ -123,7 +124,7 @@ class Service(ControlSession):
         if self._stepped is not None:
             self._earliest = self._stepped[1].trace.time_us, self._follow_step
         else:
-            self._earliest = min(self._deadlines(), key=itemgetter(0))
+            self._earliest = min(self._deadlines(), key=_moment)
         return self._earliest
 
     def _deadlines(self) -> list[Deadline]:
