@@ -9,6 +9,8 @@ for field. What is no ordinary frame (damaged, signed, MAVLink 1, of an unknown 
 from __future__ import annotations
 
 import struct
+import sys
+from array import array
 from collections.abc import Callable, Sequence
 from functools import cache
 from operator import attrgetter, itemgetter
@@ -44,6 +46,8 @@ class _Layout(NamedTuple):
     arrays : places of the arrays among them, the last first
     fields : of the frame's numbers and texts: the message's fields, in its own order, an array as a tuple
     finished : whether they are the fields as they are, without arrays and texts
+    front, tail, tail_size : the layout without an array at its end, and that array's type and length; "" and
+        0 if there is none, or the machine has another order of bytes
     """
 
     number: tuple[int, int]
@@ -53,6 +57,9 @@ class _Layout(NamedTuple):
     arrays: tuple[int, ...]
     fields: Callable[[tuple[Any, ...]], tuple[Any, ...]]
     finished: bool
+    front: struct.Struct
+    tail: str
+    tail_size: int
 
 
 @cache
@@ -76,7 +83,16 @@ def _layout(kind: Any) -> _Layout:
         tuple(reversed(arrays)),
         _several(itemgetter, [places[order] for order in kind.orders]),
         not arrays and "char" not in types.values(),
+        *_split(kind.unpacker.format, sizes[-1]),
     )
+
+
+def _split(layout: str, last: int) -> tuple[struct.Struct, str, int]:
+    """`_Layout.front`, `tail`, `tail_size`; `last` is the size of the last field."""
+    ending = f"{last}{layout[-1]}"
+    if last < 2 or sys.byteorder != "little" or layout[-1] not in "fd" or not layout.endswith(ending):
+        return struct.Struct("<"), "", 0
+    return struct.Struct(layout.removesuffix(ending)), layout[-1], last
 
 
 def _several(getter: Callable[..., Callable[[Any], Any]], which: Sequence[Any]) -> Callable[[Any], Any]:
@@ -92,6 +108,16 @@ def checksum(covered: bytes, crc_extra: bytes) -> bytes:
     return _CHECKSUM.pack(mcrf4xx(covered + crc_extra))
 
 
+def _payload(layout: _Layout, values: tuple[Any, ...]) -> bytes:
+    """All of it. An array at its end may be one of the machine's own kind, which lies there as it is sent."""
+    last = values[-1]
+    if type(last) is array and last.typecode == layout.tail and len(last) == layout.tail_size:
+        return layout.front.pack(*values[:-1]) + last.tobytes()
+    for place in layout.arrays:
+        values = (*values[:place], *values[place], *values[place + 1 :])
+    return layout.payload.pack(*values)
+
+
 def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
     """A message of `system`/`component` as a frame: what ``message.pack`` of pymavlink gives.
 
@@ -99,10 +125,7 @@ def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
     """
     kind: Any = type(message)
     layout = _layout(kind)
-    values: Sequence[Any] = layout.wire_values(message)
-    for place in layout.arrays:
-        values = (*values[:place], *values[place], *values[place + 1 :])
-    payload = layout.payload.pack(*values).rstrip(b"\0") or b"\0"  # zeros at the end are not sent
+    payload = _payload(layout, layout.wire_values(message)).rstrip(b"\0") or b"\0"  # zeros are not sent
     covered = _HEAD.pack(len(payload), 0, 0, sequence, system, component, *layout.number) + payload
     return b"\xfd" + covered + checksum(covered, layout.crc_extra)
 

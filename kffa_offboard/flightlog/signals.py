@@ -13,6 +13,7 @@ import struct
 from array import array
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 from operator import attrgetter
 from typing import Any
 
@@ -55,6 +56,8 @@ _HEAD = struct.Struct(f"<QH10s{4 * _STATE}xf")  # time, array_id, name, and the 
 _NO_PLACE = (0.0, 0.0, 0.0)
 _SPARE = (0.0,) * (_LATENCY - _PLACE - len(_NO_PLACE))
 _blocks = attrgetter(*BLOCKS)
+_SIZES = [CHANNELS] * len(BLOCKS)
+_STATE_NUMBERS = {name: number for number, name in enumerate(STATE_NAMES)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,17 +98,16 @@ def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Any:
 
     Raises ValueError for a block that has not four values or a state without a number.
     """
-    data: list[float] = []
-    for name, block in zip(BLOCKS, _blocks(signals), strict=True):
-        if len(block) != CHANNELS:
-            raise ValueError(f"signals.{name} has {len(block)} values; {CHANNELS} channels are needed")
-        data += block
-    if signals.state not in STATE_NAMES:
+    blocks = _blocks(signals)
+    sizes = [*map(len, blocks)]
+    if sizes != _SIZES:
+        wrong = next(k for k, size in enumerate(sizes) if size != CHANNELS)
+        raise ValueError(f"signals.{BLOCKS[wrong]} has {sizes[wrong]} values; {CHANNELS} channels are needed")
+    if signals.state not in _STATE_NUMBERS:
         raise ValueError(f"signals.state {signals.state!r} is none of {', '.join(STATE_NAMES)}")
-    data += (STATE_NAMES.index(signals.state), signals.dt, *signals.saturated)
-    data += _NO_PLACE if signals.position_reference is None else (1.0, *signals.position_reference)
-    data += _SPARE
-    data.append(signals.latency_s)
+    data: list[float] = [*chain.from_iterable(blocks), _STATE_NUMBERS[signals.state], signals.dt]
+    place = _NO_PLACE if signals.position_reference is None else (1.0, *signals.position_reference)
+    data += (*signals.saturated, *place, *_SPARE, signals.latency_s)
     packable = array("f", data)  # what float32 cannot hold is logged as infinite
     return mavlink.MAVLink_debug_float_array_message(signals.time_us, _NAME, array_id, packable)
 

@@ -124,39 +124,44 @@ class Service(ControlSession):
         if self._stepped is not None:
             self._earliest = self._stepped[1].trace.time_us, self._follow_step
         else:
-            self._earliest = min(self._deadlines(), key=_moment)
+            self._earliest = self._first_due()
         return self._earliest
 
-    def _deadlines(self) -> list[Deadline]:
-        """All else that is due some time; of two at the same time the first in the list goes first."""
+    def _first_due(self) -> Deadline:
+        """All else that is due some time; of two at the same time the later one in this list goes first."""
         settings, known, sending = self.settings, self._known, self.state in SENDING
-        deadlines: list[Deadline] = []
-        if sending or self.state is State.READY:
-            attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us
-            if attitude_us is not None:
-                silent_us = attitude_us + microseconds(settings.telemetry.timeout_s)
-                deadlines.append((silent_us, self._no_attitude))
-            if position_us is not None:
-                silent_us = position_us + microseconds(settings.telemetry.position_timeout_s)
-                deadlines.append((silent_us, self._no_position))
-            if self._may_ask_again and attitude_us is not None and position_us is not None:
-                quiet_us = microseconds(QUIET_SHARE * settings.telemetry.timeout_s)
-                quiet_us += min(attitude_us, position_us)
-                deadlines.append((max(quiet_us, self._asked_again_us), self._ask_again))
+        first: Deadline = self._own_heartbeat_us, self._beat
+        if self._request_us is not None and self._request_us <= first[0]:
+            first = self._request_us, self._check_rates
+        for deadline in reversed(self._payload_deadlines()):
+            first = deadline if deadline[0] <= first[0] else first
+        if sending and self._loop is not None and self._loop.sent is not None:
+            resend_us = self._loop.sent_us + microseconds(settings.sequence.resend_s)
+            first = (resend_us, self._resend) if resend_us <= first[0] else first
+        if self._retry is not None:
+            first = min((retry_due(self._retry), self._run_release), first, key=_moment)
+        if self._engagement is not None:
+            first = min((engagement_due(self._engagement), self._run_engagement), first, key=_moment)
         if known.heartbeat is not None:
             lost_us = known.heartbeat_us + microseconds(settings.telemetry.heartbeat_timeout_s)
-            deadlines.append((lost_us, self._heartbeat_lost))
-        if self._engagement is not None:
-            deadlines.append((engagement_due(self._engagement), self._run_engagement))
-        if self._retry is not None:
-            deadlines.append((retry_due(self._retry), self._run_release))
-        if sending and self._loop is not None and self._loop.sent is not None:
-            deadlines.append((self._loop.sent_us + microseconds(settings.sequence.resend_s), self._resend))
-        deadlines += self._payload_deadlines()
-        if self._request_us is not None:
-            deadlines.append((self._request_us, self._check_rates))
-        deadlines.append((self._own_heartbeat_us, self._beat))
-        return deadlines
+            first = (lost_us, self._heartbeat_lost) if lost_us <= first[0] else first
+        return self._silence(first) if sending or self.state is State.READY else first
+
+    def _silence(self, first: Deadline) -> Deadline:
+        """The earlier one of a deadline and what is done when no telemetry comes."""
+        settings, known = self.settings.telemetry, self._known
+        attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us
+        if self._may_ask_again and attitude_us is not None and position_us is not None:
+            quiet_us = min(attitude_us, position_us) + microseconds(QUIET_SHARE * settings.timeout_s)
+            ask_us = max(quiet_us, self._asked_again_us)
+            first = (ask_us, self._ask_again) if ask_us <= first[0] else first
+        if position_us is not None:
+            silent_us = position_us + microseconds(settings.position_timeout_s)
+            first = (silent_us, self._no_position) if silent_us <= first[0] else first
+        if attitude_us is not None:
+            silent_us = attitude_us + microseconds(settings.timeout_s)
+            first = (silent_us, self._no_attitude) if silent_us <= first[0] else first
+        return first
 
     def _no_attitude(self, time_us: int) -> None:
         self._fault(time_us, f"no attitude for {self.settings.telemetry.timeout_s:g} s")

@@ -84,6 +84,7 @@ class AttitudeTrust(Struct, frozen=True):
     still : since when the values are the same
     delay : of the samples
     slow, quick : rad, roll and pitch less their integrated rates, fading
+    rates : rad/s, of roll and pitch in the last sample
     """
 
     last: AttitudeReceived | None = None
@@ -91,6 +92,7 @@ class AttitudeTrust(Struct, frozen=True):
     delay: Delay = Delay()
     slow: tuple[float, float] = (0.0, 0.0)
     quick: tuple[float, float] = (0.0, 0.0)
+    rates: tuple[float, float] = (0.0, 0.0)
 
 
 class PositionTrust(Struct, frozen=True):
@@ -132,8 +134,9 @@ def watch_attitude(
     before = trust.attitude
     delay, fault = _follow_delay(settings, before.delay, time_us, event.sample_time_us)
     still = _stand_still(before.still, (*event.attitude, *event.body_rates), time_us)
-    slow, quick, stepped = _angle_mismatch(before, event)
-    trust = Trust(AttitudeTrust(event, still, delay, slow, quick), trust.position)
+    rates = _euler_rates(event)
+    slow, quick, stepped = _angle_mismatch(before, event, rates)
+    trust = Trust(AttitudeTrust(event, still, delay, slow, quick, rates), trust.position)
     if fault is not None:
         return trust, fault
     if flying and time_us - still.since_us > microseconds(settings.frozen_time_s):
@@ -224,14 +227,13 @@ def _euler_rates(event: AttitudeReceived) -> tuple[float, float]:
 
 
 def _angle_mismatch(
-    before: AttitudeTrust, event: AttitudeReceived
+    before: AttitudeTrust, event: AttitudeReceived, now: tuple[float, float]
 ) -> tuple[tuple[float, float], tuple[float, float], bool]:
-    """Slow and quick, of roll and pitch, and whether this sample alone is too far off."""
-    last = before.last
+    """Slow and quick, of roll and pitch, and whether this sample alone is too far off; `now`: its rates."""
+    last, then = before.last, before.rates
     if last is None or max(_tilt(last.attitude), _tilt(event.attitude)) > _STEEPEST_RAD:
         return (0.0, 0.0), (0.0, 0.0), False
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
-    then, now = _euler_rates(last), _euler_rates(event)
     roll = event.attitude[0] - last.attitude[0] - 0.5 * dt * (then[0] + now[0])
     pitch = event.attitude[1] - last.attitude[1] - 0.5 * dt * (then[1] + now[1])
     keep, keep_quick = exp(-dt / ANGLE_MEMORY_S), exp(-dt / QUICK_ANGLE_MEMORY_S)
