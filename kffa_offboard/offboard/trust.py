@@ -56,6 +56,13 @@ once, and an acceleration for the time between them, of which no more counts tha
 PASSED_OVER_MAX_S = 0.15
 """For how long no climb rate may fit."""
 
+SILENCE_S = 0.15
+ACCELERATIONS_M_S2, ANGULAR_ACCELERATIONS_RAD_S2 = 25.0, 40.0
+"""From the least of a sound vehicle to the greatest: free fall and full thrust; rolled one way and the other.
+After so long without a sample the climb rate may have changed for all that time, and what a rate was between
+two samples is not known: its integral is, but for the time squared over 8 times this (it had the least first,
+then the greatest)."""
+
 _STEEPEST_RAD = 1.2  # Euler rates grow beyond bounds towards 90 degrees of pitch
 
 
@@ -162,7 +169,7 @@ def watch_position(
     if climb_rate > limits.climb_rate_max_m_s:
         return trust, True, f"climb rate {climb_rate:.3g} m/s, {limits.climb_rate_max_m_s:g} allowed"
     before = trust.position
-    odd = _climb_rate_jump(before.last, event)
+    odd = _climb_rate_jump(before, event)
     if odd is not None:
         since_us = event.sample_time_us if before.odd_since_us is None else before.odd_since_us
         lasts = event.sample_time_us - since_us >= microseconds(PASSED_OVER_MAX_S)
@@ -236,6 +243,9 @@ def _angle_mismatch(
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
     roll = event.attitude[0] - last.attitude[0] - 0.5 * dt * (then[0] + now[0])
     pitch = event.attitude[1] - last.attitude[1] - 0.5 * dt * (then[1] + now[1])
+    if dt > SILENCE_S:
+        unseen = 0.125 * ANGULAR_ACCELERATIONS_RAD_S2 * dt * dt
+        roll, pitch = roll - _bounded(roll, unseen), pitch - _bounded(pitch, unseen)
     keep, keep_quick = exp(-dt / ANGLE_MEMORY_S), exp(-dt / QUICK_ANGLE_MEMORY_S)
     most = min(QUICK_ANGLE_RATE_RAD_S * dt, QUICK_ANGLE_STEP_RAD)
     slow, quick = before.slow, before.quick
@@ -262,6 +272,8 @@ def _height_mismatch(before: PositionTrust, event: PositionReceived) -> tuple[fl
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
     reckoned = 0.5 * dt * (last.velocity[2] + event.velocity[2])
     off = event.position[2] - last.position[2] - reckoned
+    if dt > SILENCE_S:
+        off -= _bounded(off, 0.125 * ACCELERATIONS_M_S2 * dt * dt)
     most = min(QUICK_HEIGHT_RATE_M_S * dt, QUICK_HEIGHT_STEP_M)
     return (
         exp(-dt / HEIGHT_MEMORY_S) * before.slow + off,
@@ -269,13 +281,20 @@ def _height_mismatch(before: PositionTrust, event: PositionReceived) -> tuple[fl
     )
 
 
-def _climb_rate_jump(last: PositionReceived | None, event: PositionReceived) -> str | None:
-    """Name a change of the climb rate that no sound vehicle shows."""
+def _climb_rate_jump(before: PositionTrust, event: PositionReceived) -> str | None:
+    """Name a change of the climb rate that no sound vehicle shows.
+
+    After a silence it has all that time, but not the time in which samples come and do not fit.
+    """
+    last = before.last
     if last is None:
         return None
     change = abs(event.velocity[2] - last.velocity[2])
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
-    possible = CLIMB_RATE_JUMP_M_S + CLIMB_ACCELERATION_M_S2 * min(dt, CLIMB_ACCELERATION_TIME_S)
+    first_us = event.sample_time_us if before.odd_since_us is None else before.odd_since_us
+    silent = (first_us - last.sample_time_us) * 1e-6
+    counts = silent if silent > SILENCE_S else min(dt, CLIMB_ACCELERATION_TIME_S)
+    possible = CLIMB_RATE_JUMP_M_S + CLIMB_ACCELERATION_M_S2 * counts
     if change <= possible:
         return None
     return f"climb rate does not fit: changed by {change:.1f} m/s in {dt:.2f} s, {possible:.1f} possible"

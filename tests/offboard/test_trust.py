@@ -166,6 +166,62 @@ def test_a_body_rate_that_stays_wrong_is_noticed(rate_hz, error, within_s):
     assert faults[0][0] < 1.0 + within_s + 2.5 / rate_hz
 
 
+def flown_with_silences(acceleration, silent_s):
+    """Times heard within 4 s, and what was moved and how fast; from 0.5 s on all but 0.15 s are silent.
+
+    `acceleration` is that in the silence of this number, when this share of it is over.
+    """
+    t = 1e-3 * np.arange(4000)
+    number, since = np.divmod(t - 0.5, silent_s + 0.15)
+    silent = (number >= 0.0) & (since < silent_s)
+    parts = zip(number, since / silent_s, silent, strict=True)
+    found = [acceleration(n, share) if quiet else 0.0 for n, share, quiet in parts]
+    rate = 1e-3 * np.cumsum(found)
+    heard = ~silent & (np.arange(4000) % 10 == 0)
+    return [array[heard].tolist() for array in (t, 1e-3 * np.cumsum(rate), rate)]
+
+
+@pytest.mark.parametrize("silent_s", [0.2, 0.3, 0.8])
+@pytest.mark.parametrize(
+    "acceleration",
+    [lambda n, share: -9.8 if share < 0.6 else 14.7, lambda n, share: 9.8 if n % 2 else -9.8],
+    ids=["none, then full thrust", "the other way in each"],
+)
+def test_whatever_thrust_did_in_a_silence_height_and_climb_rate_are_believed(acceleration, silent_s):
+    """2.5 m/s were all that could be, and the mean of two climb rates all there was between them."""
+    heard = zip(*flown_with_silences(acceleration, silent_s), strict=True)
+    samples = noisy([(t, 5.0 + height, climb_rate) for t, height, climb_rate in heard])
+    assert watch_heights(samples) == ([], [])
+
+
+@pytest.mark.parametrize("silent_s", [0.3, 0.6])
+def test_a_vehicle_that_rolls_over_in_each_silence_and_back_fits_its_body_rates(silent_s):
+    """By 0.5 rad, there and back in two silences each, at rest when it is heard."""
+    most = 4.0 * 0.5 / silent_s**2
+
+    def acceleration(number, share):
+        return (1.0 if number % 4 < 2 else -1.0) * (most if share < 0.5 else -most)
+
+    samples = [
+        (t, roll - 0.5, 0.0, (rate, 0.0, 0.0))
+        for t, roll, rate in zip(*flown_with_silences(acceleration, silent_s), strict=True)
+    ]
+    assert watch_angles(samples) == []
+
+
+@pytest.mark.parametrize(("error", "within_s"), [(1.5, 0.5), (3.0, 0.2), (9.0, 0.2)])
+def test_after_a_silence_a_climb_rate_that_is_wrong_is_noticed_as_soon(error, within_s):
+    """What the silence allows for does not grow with the time in which no climb rate fits."""
+    samples = [(t, 5.0, 0.0 if t < 1.0 else error) for t in times(100, 3.0) if not 1.0 < t < 1.3]
+    faults, _ = watch_heights(noisy(samples))
+    assert faults and faults[0][0] < 1.3 + within_s + 0.02
+
+
+def test_after_a_silence_a_body_rate_that_is_wrong_is_noticed_as_soon():
+    samples = [(t, 0.0, 0.0, (3.0 * (t >= 1.0), 0.0, 0.0)) for t in times(100, 2.0) if not 1.0 < t < 1.3]
+    assert watch_angles(samples)[0][0] < 1.3 + 0.12
+
+
 def test_what_was_passed_over_counts_as_dropped_and_does_not_arrive():
     known = Telemetry(position_stream=Stream(1_000, 2_000, (2_000,), 0, 4))
     assert trust.pass_over(known) == Telemetry(position_stream=Stream(1_000, 2_000, (2_000,), 0, 5))
