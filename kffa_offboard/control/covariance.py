@@ -31,6 +31,8 @@ _STRAYS = 45  # where no time comes so often: with so many of them
 _STRIDE = 1.5  # the period becomes longer or shorter by this factor
 _LONGEST_STRAY = 6  # periods that a late time counts as at most: one silence alone changes nothing
 _SMALLEST_PART = 10  # of the period, a time that gains are worked out for
+_SILENCE = 0.15  # s; from then on it is better known what is measured than what was predicted
+_AS_MEASURED = np.eye(3, 2)  # the gain that takes over output and rate, and leaves the disturbance as it was
 _DOUBLINGS = 40  # of the time until which the Riccati equation is followed
 _EXACT = 1e-14  # of the standard deviations, as `KalmanParameters.rest_tolerance`
 
@@ -58,8 +60,10 @@ class KalmanParameters:
         A measurement at another than the usual time has the gain of the nearest multiple or part of the
         period, if that is not later than by this much, and leaves the covariance that one at the usual time
         would. Over a silence the random walk grows beyond any load, and the noise of the next two samples
-        would be taken for one. What was at rest is so at a new period, too; and where there is no usual time,
-        the period comes to be about the mean. With 0 each has its own gain and leaves its own covariance.
+        would be taken for one: after 0.15 s output and rate (if that is fused) are taken as measured, and the
+        disturbance stays what it was. What was at rest is so at a new period, too; and where there is no
+        usual time, the period comes to be about the mean. With 0 each has its own gain and leaves its own
+        covariance.
     """
 
     measurement_variance: Array
@@ -238,7 +242,10 @@ def corrected(
         gain, left = _measured(noise, damping, period, before, period)
         if not usual:
             latest = (1.0 + parameters.late_tolerance) * period
-            gain, _ = _measured(noise, damping, period, before, min(_multiple(period, after), latest))
+            if with_rate and after > max(latest, _SILENCE):
+                gain = _AS_MEASURED[: noise.states]
+            else:
+                gain, _ = _measured(noise, damping, period, before, min(_multiple(period, after), latest))
     return gain, timed._replace(covariance=left)
 
 

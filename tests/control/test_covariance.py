@@ -168,8 +168,8 @@ def test_one_lost_sample_leaves_rest_where_it_is_and_has_its_own_gain_all_the_sa
     assert measured(forgiving, spread, [0.02] * 5).period == 0.02
 
 
-@pytest.mark.parametrize("late", [0.03, 0.3, 3.0])
-def test_after_a_silence_a_sample_has_the_gain_of_the_latest_that_is_tolerated(late) -> None:
+@pytest.mark.parametrize("late", [0.03, 0.06, 0.14])
+def test_a_late_sample_has_the_gain_of_the_latest_that_is_tolerated(late) -> None:
     """Over 0.3 s the disturbance grew to 5 m/s^2: two samples of hover noise swung thrust from end to end."""
     forgiving = replace(TOLERANT, late_tolerance=2.0)
     spread = measured(forgiving, begin(forgiving), [0.01] * 200)
@@ -177,6 +177,20 @@ def test_after_a_silence_a_sample_has_the_gain_of_the_latest_that_is_tolerated(l
     gain, after = corrected(forgiving, MODEL, 0, True, spread, late)
     np.testing.assert_allclose(gain, expected, rtol=1e-12)
     assert measured(forgiving, after, [late] * 4).period == late, "what comes again and again is the period"
+
+
+@pytest.mark.parametrize("late", [0.16, 0.3, 3.0])
+def test_after_a_silence_output_and_rate_are_as_measured_and_the_disturbance_stays(late) -> None:
+    """With the gain of 0.03 s a height that was predicted 5 cm too low stayed so for a tenth of a second."""
+    forgiving = replace(TOLERANT, late_tolerance=2.0)
+    spread = measured(forgiving, begin(forgiving), [0.01] * 200)
+    gain, after = corrected(forgiving, MODEL, 0, True, spread, late)
+    assert gain.tolist() == [[1.0, 0.0], [0.0, 1.0], [0.0, 0.0]]
+    assert after.covariance is spread.covariance, "at rest"
+    assert measured(forgiving, after, [late] * 4).period == late, "what comes again and again is the period"
+    without, _ = corrected(forgiving, MODEL, 0, False, spread, late)
+    latest, _ = corrected(forgiving, MODEL, 0, False, spread, 0.03)
+    assert without.tolist() == latest.tolist(), "the rate is not known from the output alone"
 
 
 def test_at_rest_filterpy_is_asked_once_for_the_gain_of_each_odd_time_and_once_for_all_silences(
