@@ -183,7 +183,8 @@ class SequenceSettings:
     disarm_retry_s, disarm_timeout_s : asking to disarm after touch-down
     confirm_grace_s : a heartbeat this soon after an accepted command may still show the old state
     gripper_timeout_s : a gripper command unanswered this long is announced
-    resend_s : the last setpoint is repeated when no new one was made for so long (PX4 wants 2 Hz)
+    resend_s : when no new setpoint was made for so long, one that is level or the last one is sent (PX4 wants
+        2 Hz): thrust answers a climb rate with 2 omega_c, and held for longer than 1 / omega_c it overshoots
     own_heartbeat_s : period of the daemon's own heartbeat
     blend_time_s : time constant with which thrust goes from the autopilot's to the controller's
     """
@@ -200,7 +201,7 @@ class SequenceSettings:
     disarm_timeout_s: float = 10.0
     confirm_grace_s: float = 0.3
     gripper_timeout_s: float = 5.0
-    resend_s: float = 0.2
+    resend_s: float = 0.1
     own_heartbeat_s: float = 1.0
     blend_time_s: float = 0.3
 
