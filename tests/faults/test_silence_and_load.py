@@ -32,8 +32,11 @@ def test_samples_that_come_in_a_burst_after_a_silence_are_no_drop(settled_flight
         assert [text[:8] for text in said_of_loads(flight)] == ["carrying"]
 
 
-def on_a_silent_link(fault_flight, personality, scenario, loaded_kg=0.0, resend_s=0.2):
-    """A flight on a link that may be silent for two seconds, 2.9 s after it began."""
+def on_a_silent_link(fault_flight, personality, scenario, loaded_kg=0.0, resend_s=0.1):
+    """A flight on a link that may be silent for two seconds, 2.9 s after it began.
+
+    After `resend_s` without telemetry the vehicle is told to be level.
+    """
     flight = fault_flight(personality, settle_s=0.2, scenario=scenario).prepare()
     silent = replace(
         flight.settings.telemetry, timeout_s=2.0, position_timeout_s=2.0, heartbeat_timeout_s=5.0
@@ -113,7 +116,7 @@ def test_silences_in_a_row_do_not_end_control_whenever_they_begin(fault_flight, 
     than 2 / 16 s of that turns the climb rate round faster than it was.
     """
     mass, full = 10.0 + loaded_kg, 246.0
-    flight = on_a_silent_link(fault_flight, personality, HOVER, loaded_kg)
+    flight = on_a_silent_link(fault_flight, personality, HOVER, loaded_kg, resend_s=0.2)
     limits = flight.settings.limits
     up, down = limits.thrust_max * full / mass - 9.8, 9.8 - limits.thrust_min * full / mass
     unseen_s = SILENT_S - 0.2 + 0.11  # and until the next thrust is there: link and motors
@@ -132,7 +135,7 @@ def test_a_last_setpoint_that_holds_for_a_tenth_of_a_second_does_not_swing_the_h
 
     It swung by up to 0.55 m while the Kalman filter believed what it had predicted over the silence.
     """
-    flight = on_a_silent_link(fault_flight, personality, HOVER, loaded_kg, resend_s=0.1)
+    flight = on_a_silent_link(fault_flight, personality, HOVER, loaded_kg)
     assert max(swings(flight)) < 0.15
 
 
