@@ -68,11 +68,12 @@ class Autopilot(ABC):
         self._rates: dict[int, float] = {}
         self._unanswered_rates: deque[int] = deque()
         self._refused_rates: set[int] = set()
+        self._telemetry = telemetry
         self._decoders: dict[str, Decoder] = {
             **telemetry.decoders,
-            "HEARTBEAT": lambda message: [self._heartbeat(message)],
+            "HEARTBEAT": self._heartbeats,
             "COMMAND_ACK": self._command_answer,
-            "ATTITUDE_TARGET": lambda message: self._targets(telemetry.decode(message)),
+            "ATTITUDE_TARGET": self._targets,
         }
         self._arming = True
         self._custom_mode = 0
@@ -80,7 +81,7 @@ class Autopilot(ABC):
     @property
     def kinds(self) -> Collection[str]:
         """Types of messages that are decoded."""
-        return self._decoders.keys()
+        return frozenset(self._decoders)
 
     # ------------------------------------------------------------- what differs
 
@@ -111,8 +112,12 @@ class Autopilot(ABC):
         decoder = self._decoders.get(message.get_type())
         return [] if decoder is None else decoder(message)
 
-    def _targets(self, reports: list[Event]) -> list[Event]:
+    def _targets(self, message: Message) -> list[Event]:
+        reports = self._telemetry.decode(message)
         return [self.trusted(event) if isinstance(event, TargetReported) else event for event in reports]
+
+    def _heartbeats(self, message: Message) -> list[Event]:
+        return [self._heartbeat(message)]
 
     def _heartbeat(self, message: Message) -> HeartbeatReceived:
         self._custom_mode = message.custom_mode

@@ -70,15 +70,18 @@ def test_a_silence_on_the_way_to_another_height_leaves_it_with_the_thrust_that_c
 ):
     """The mean of the setpoints held the acceleration: 4 m away from the flight without it, or no control.
 
-    These moments are where thrust accelerates. If it brakes, at 4 m/s, the vehicle flies on with that for the
-    silence and the 0.11 s of link and motors: 2.7 m, whatever the setpoint is.
+    Where thrust would have begun to brake, at up to 4 m/s, the vehicle flies on with that for the silence and
+    the 0.11 s of link and motors: 2.7 m, whatever the setpoint is. Elsewhere it is far less: in half of the
+    moments below 0.8 m.
     """
     flight = stepping(fault_flight, personality, 2.0, 3.0, 5.0)
-    quiet = flight.fly_on(3.5).heights
-    for start_s in (0.3, 0.5):
-        gone = flight.fly_on(3.5, down=[Lose(start_s=start_s, duration_s=0.5)])
+    quiet, away = flight.fly_on(6.5).heights, []
+    for start_s in (0.1 + 0.3 * k for k in range(8)):
+        gone = flight.fly_on(6.5, down=[Lose(start_s=start_s, duration_s=0.5)])
         assert gone.released_s is None, gone.texts
-        assert max(abs(one - other) for one, other in zip(gone.heights, quiet, strict=True)) < 0.8
+        away.append(max(abs(one - other) for one, other in zip(gone.heights, quiet, strict=True)))
+    assert max(away) < 2.7
+    assert sorted(away)[len(away) // 2 - 1] < 0.8
 
 
 MOMENTS_S = [0.4 + 0.13 * k for k in range(8)]
