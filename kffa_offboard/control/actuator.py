@@ -134,6 +134,20 @@ def shares(ages: tuple[float, ...], delay: Array, span: Array) -> Array:
     return parts
 
 
+def shares_of_one(ages: tuple[float, ...], delay: float, span: float) -> list[tuple[int, float]]:
+    """`shares` of one channel of one vehicle, without those that are zero: place and share, in order."""
+    found, ended = [], 0.0
+    for place in range(len(ages) - 1, -1, -1):
+        age = ages[place]
+        since = 0.0 if age <= delay else span if age - delay >= span else age - delay
+        if since > ended:
+            found.append((place, (since - ended) / span))
+        if since == span:
+            break
+        ended = since
+    return found[::-1]
+
+
 @remember
 def acting(ages: tuple[float, ...], delay: Array, span: Array) -> tuple[slice, Array]:
     """Those of the commands that act in a `Window`, and the `shares` of these."""
@@ -190,10 +204,9 @@ def step_one(parameters: ActuatorParameters, line: Line, dt: float) -> tuple[Lin
     """`step` for one channel of one vehicle: jitter makes ages new in each step."""
     delay, span, held, decay = _window_of_one(parameters, dt)
     ages = aged(line.ages, dt)
-    since = [0.0 if age <= delay else span if age - delay >= span else age - delay for age in ages]
     mean = 0.0
-    for begun, ended, command in zip(since, (*since[1:], 0.0), line.commands, strict=True):
-        mean += (begun - ended) / span * command
+    for place, share in shares_of_one(ages, delay, span):
+        mean += share * line.commands[place]
     transient = line.lagged - mean
     over = count_over(parameters, ages)
     return Line(kept(ages, over), line.commands[over:], mean + decay * transient), mean + held * transient

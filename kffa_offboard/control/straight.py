@@ -63,21 +63,18 @@ _ANY_STEP = 0.01  # s; the function is the same for all
 
 
 class Found(NamedTuple):
-    """Coefficients without the Kalman filter's, and the same as `Law.function` takes them.
+    """Coefficients without the Kalman filter's, as `Law.function` takes them.
 
     Attributes
     ----------
-    coefficients : as arrays
     elapsed : of the state after the step
     numbers : flat, in the order of `_coefficient_arrays` and `_parameter_arrays`
-    delay, span : s ``(2, channels)``, of the windows (`actuator.Window`) of what acted, and of what will
+    windows : delay and span, s, of the windows (`actuator.Window`) of each channel: what acted, what will act
     """
 
-    coefficients: Coefficients
     elapsed: Vector
     numbers: Vector
-    delay: Array
-    span: Array
+    windows: list[tuple[float, float]]
 
 
 class FoundGains(NamedTuple):
@@ -97,7 +94,7 @@ class Shares(NamedTuple):
     ages : of the others, s
     """
 
-    means: list[list[tuple[int, int, float]]]
+    means: list[list[tuple[int, float]]]
     over: int
     ages: tuple[float, ...]
 
@@ -135,7 +132,7 @@ class Law:
         if known is None:
             found = discretised(self._parameters, array_state(state), inputs.arrays(), dt)
             numbers = _flat(_coefficient_arrays(found)) + self._numbers
-            known = Found(found, tuple(found.elapsed.tolist()), numbers, *_windows(found))
+            known = Found(tuple(found.elapsed.tolist()), numbers, _windows(found))
         _keep(self._found, key, known)  # as the latest
         return known
 
@@ -162,12 +159,8 @@ class Law:
         if known is None:
             ages = actuator.aged(state.ages, dt)
             over = actuator.count_over(self._parameters.actuator, ages)
-            acting = actuator.shares(ages, found.delay, found.span)
-            means = [
-                [(k, channel, share) for k, share in enumerate(acting[:, window, channel].tolist()) if share]
-                for window in range(acting.shape[1])
-                for channel in range(acting.shape[2])
-            ]
+            acting = {seen: actuator.shares_of_one(ages, *seen) for seen in set(found.windows)}
+            means = [acting[seen] for seen in found.windows]
             known = Shares(means, over, actuator.kept(ages, over))
             _keep(self._shares, key, known)
         return known
@@ -177,14 +170,14 @@ def _flat(arrays: Iterable[Array]) -> Vector:
     return tuple(number for array in arrays for number in array.reshape(-1).tolist())
 
 
-def _windows(found: Coefficients) -> list[Array]:
-    """`Found.delay` and `Found.span`."""
+def _windows(found: Coefficients) -> list[tuple[float, float]]:
     acted = found.window
-    ahead = acted if found.ahead is None else found.ahead.window
-    return [
-        np.stack(np.broadcast_arrays(*pair, acted.held)[:2])
-        for pair in ((acted.delay, ahead.delay), (acted.span, ahead.span))
-    ]
+    seen = [acted, acted if found.ahead is None else found.ahead.window]
+    delay, span = (
+        np.concatenate([np.broadcast_to(one, acted.held.shape) for one in ones]).tolist()
+        for ones in ([window.delay for window in seen], [window.span for window in seen])
+    )
+    return list(zip(delay, span, strict=True))
 
 
 def _keep(results: dict[Any, Any], key: Any, result: Any) -> None:
@@ -221,11 +214,11 @@ def step(
     rate = inputs.measured_rate
     known = law(parameters, rate is not None)
     found, gains = known.find(state, inputs, dt), known.find_gains(state, inputs, dt)
-    shares, commands = known.shares(state, found, dt), state.commands
+    shares, commands, size = known.shares(state, found, dt), state.commands, len(found.elapsed)
     means = []
-    for acting in shares.means:
-        mean = 0.0
-        for place, channel, share in acting:
+    for number, acting in enumerate(shares.means):
+        mean, channel = 0.0, number % size
+        for place, share in acting:
             mean += share * commands[place][channel]
         means.append(mean)
     given: list[Sequence[Any]] = [
@@ -238,7 +231,7 @@ def step(
     given += [means] if rate is None else [rate, means]
     given += [gains.numbers, found.numbers] if gains.numbers else [found.numbers]
     numbers = known.function(*given)
-    size, end = len(found.elapsed), len(state.numbers)
+    end = len(state.numbers)
     command = numbers[end : end + size]
     under_way = sent(shares.ages, commands[shares.over :], command)
     after = PlainState(numbers[:end], *under_way, found.elapsed, gains.spreads, state.pid)
