@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Hashable
 
+from msgspec.structs import replace
+
 from kffa_offboard.faults.barrier import BarrierFaults
 from kffa_offboard.mavlink.transport import Datagram, Link, Posting
 
@@ -42,7 +44,7 @@ class FaultyLink:
     def receive(self, timeout_s: float) -> list[Datagram]:
         """See `transport.Link`."""
         return [
-            datagram._replace(data=data)
+            replace(datagram, data=data)
             for datagram in self.inner.receive(timeout_s)
             for data in self.faults.from_vehicle(datagram.data)
         ]

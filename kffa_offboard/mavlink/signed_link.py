@@ -13,6 +13,7 @@ from collections.abc import Hashable
 from dataclasses import dataclass
 from pathlib import Path
 
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
@@ -147,7 +148,7 @@ class SignedLink:
             self._news = ""
             data = self._genuine(datagram)
             if data or self._news:
-                checked.append(datagram._replace(data=data, notice=self._news))
+                checked.append(replace(datagram, data=data, notice=self._news))
         return checked
 
     def send(self, data: bytes) -> bool:

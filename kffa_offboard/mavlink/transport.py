@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Hashable
 from typing import NamedTuple, Protocol, TypeAlias
 
+from msgspec import Struct
+
 Clock: TypeAlias = Callable[[], int]
 """Tells the time in integer microseconds and never goes back."""
 
 
-class Datagram(NamedTuple):
+class Datagram(Struct, frozen=True):
     """Bytes that arrived together.
 
     `time_us` is the time of reading on the link's clock; `source` tells senders apart (each has its own

@@ -3,6 +3,7 @@
 import logging
 
 import pytest
+from msgspec.structs import replace
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.errors import UserError
@@ -196,7 +197,7 @@ def test_recorded_frames_from_elsewhere_are_no_second_vehicle_and_take_no_link(l
         reception.read(datagram)
     for frame in recorded:
         for datagram in arrive(link, wire, frame, source="elsewhere", stranger=True):
-            assert reception.read(datagram._replace(time_us=NOW_US + silent_us)) == []
+            assert reception.read(replace(datagram, time_us=NOW_US + silent_us)) == []
     assert wire.locked == "vehicle"
     noticed = [(notice.text, notice.consequence) for notice in reception.take_notices()]
     assert noticed == [(f"refusing 1/1: {Verdict.REPLAYED.value}", "said")]
