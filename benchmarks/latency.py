@@ -19,7 +19,8 @@ from common import Probe, daemon_config, free_port, percentiles, save
 from replay import GOLDEN
 
 from kffa_offboard.config_log import config_of
-from kffa_offboard.control import controllers
+from kffa_offboard.control import controllers, vehicle
+from kffa_offboard.control.plain import PlainInput
 from kffa_offboard.mavlink.commands import attitude_target
 from kffa_offboard.mavlink.component import Component, FrameParser, Route
 from kffa_offboard.mavlink.session import Session
@@ -45,16 +46,15 @@ def timed(function: Callable[[], Any], times: int = 3000) -> list[float]:
 def control_step(parameters: controllers.ControllerParameters, periods_s: list[float]) -> list[float]:
     """The law alone, four channels, all fresh and noisy; steps of these lengths in random order."""
     rng = np.random.default_rng(1)
-    state = controllers.initial_state(parameters, np.zeros(4), np.array([0.0, 0.0, 0.0, 0.4]))
-    fresh, wanted = np.ones(4, dtype=bool), np.array([0.1, 0.0, 0.0, 1.0])
-    noise = iter(rng.normal(0.0, 0.01, (6000, 2, 4)))
+    state = vehicle.initial_state(parameters, (0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 0.4))
+    fresh, wanted = (True, True, True, True), (0.1, 0.0, 0.0, 1.0)
+    noise = iter(rng.normal(0.0, 0.01, (6000, 2, 4)).tolist())
     lengths = iter(rng.choice(periods_s, 6000).tolist())
 
     def step() -> None:
         nonlocal state
-        measured, rate = next(noise)
-        inputs = controllers.ControllerInput(wanted, measured, fresh, rate)
-        state, _ = controllers.step(parameters, state, inputs, next(lengths))
+        measured, rate = map(tuple, next(noise))
+        state, _ = vehicle.step(parameters, state, PlainInput(wanted, measured, fresh, rate), next(lengths))
 
     timed(step)  # the covariance settles
     return timed(step)
@@ -116,6 +116,16 @@ def round_trips(port: int, *command: str) -> dict[str, Any]:
     return {**percentiles(trips), "unanswered": missed}
 
 
+def daemon_round_trips(tables: str) -> dict[str, Any]:
+    """Round trips to a daemon of its own with a log; `tables` are added to its configuration."""
+    port = free_port()
+    with tempfile.TemporaryDirectory() as directory:
+        config, log = daemon_config(Path(directory), port), Path(directory) / "flight.tlog"
+        config.write_text(f"{config.read_text()}\n{tables}", encoding="utf-8")
+        run = ("-m", "kffa_offboard", "run", "--config", str(config), "--engage", "--log", str(log))
+        return round_trips(port, *run)
+
+
 def main() -> None:
     """Measure everything and print it."""
     recording = read_recording(GOLDEN)
@@ -137,16 +147,14 @@ def main() -> None:
         ),
         "full path in process": percentiles(full_path(recording)),
     }
-    socket_port, echo_port, port = free_port(), free_port(), free_port()
+    socket_port, echo_port = free_port(), free_port()
     here = Path(__file__).parent
-    with tempfile.TemporaryDirectory() as directory:
-        config = daemon_config(Path(directory), port)
-        run = ("-m", "kffa_offboard", "run", "--config", str(config), "--engage")
-        log = ("--log", str(Path(directory) / "flight.tlog"))
-        bare = str(here / "bare_socket.py")
-        rows["UDP, bytes made before"] = round_trips(socket_port, bare, str(socket_port))
-        rows["UDP, bare pymavlink echo"] = round_trips(echo_port, str(here / "echo.py"), str(echo_port))
-        rows["UDP, kffa-offboard run"] = round_trips(port, *run, *log)
+    bare = str(here / "bare_socket.py")
+    rows["UDP, bytes made before"] = round_trips(socket_port, bare, str(socket_port))
+    rows["UDP, bare pymavlink echo"] = round_trips(echo_port, str(here / "echo.py"), str(echo_port))
+    rows["UDP, kffa-offboard run"] = daemon_round_trips("")
+    awake = "[realtime]\nenabled = true\nrequired = false\nkeep_awake = true\n"
+    rows["UDP, kffa-offboard run, --realtime and keep_awake"] = daemon_round_trips(awake)
     if find_spec("mavsdk") is None:
         print('no row for MAVSDK: pip install "kffa-offboard[clients]"', file=sys.stderr)
     else:

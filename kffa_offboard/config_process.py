@@ -54,6 +54,7 @@ class RealtimeTable(Table):
     pin: bool = _REALTIME.pin
     core: Annotated[int | None, Field(ge=0, le=1023)] = None
     lock_memory: bool = _REALTIME.lock_memory
+    keep_awake: bool = _REALTIME.keep_awake
     collect_s: Annotated[float, number("s", at_least=0.1, at_most=60.0)] = _REALTIME.collect_s
 
     def settings(self) -> RealtimeSettings:

@@ -12,6 +12,7 @@ import ctypes
 import errno
 import gc
 import os
+import struct
 import sys
 import threading
 from collections.abc import Callable
@@ -19,6 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
+LATENCY_DEVICE = "/dev/cpu_dma_latency"
 _SWITCH_INTERVAL_S = 1e-4
 """How long another thread may hold the interpreter when the control loop wants it; Python's own is 5 ms."""
 
@@ -35,6 +37,7 @@ class RealtimeSettings:
     pin : stay on one core
     core : which one; None for the last that is allowed
     lock_memory : never be paged out
+    keep_awake : the processor does not sleep while it waits, which costs power; it wakes up at once
     collect_s : how often garbage is collected, right after a control step
     """
 
@@ -44,6 +47,7 @@ class RealtimeSettings:
     pin: bool = True
     core: int | None = None
     lock_memory: bool = True
+    keep_awake: bool = False
     collect_s: float = 1.0
 
 
@@ -56,6 +60,8 @@ def become_real_time(settings: RealtimeSettings) -> list[str]:
     steps: list[Callable[[RealtimeSettings], None]] = []
     if settings.lock_memory:
         steps.append(_lock_memory)
+    if settings.keep_awake:
+        steps.append(_keep_awake)
     if settings.pin:
         steps.append(_pin)
     if settings.priority > 0:
@@ -74,6 +80,12 @@ def _lock_memory(settings: RealtimeSettings) -> None:
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
+
+
+def _keep_awake(settings: RealtimeSettings) -> None:
+    """Ask for 0 us of latency (pm_qos); the kernel forgets it when the process ends, however it does."""
+    request = os.open(LATENCY_DEVICE, os.O_WRONLY | os.O_CLOEXEC)
+    os.write(request, struct.pack("=i", 0))
 
 
 def _pin(settings: RealtimeSettings) -> None:
@@ -101,6 +113,9 @@ def _explain(step: Callable[[RealtimeSettings], None], settings: RealtimeSetting
             "lock its memory (realtime.lock_memory)",
             "give it CAP_IPC_LOCK or LimitMEMLOCK=infinity in the unit (ulimit -l unlimited)",
         )
+    elif step is _keep_awake:
+        what = "keep the processor awake (realtime.keep_awake)"
+        remedy = f"let it write to {LATENCY_DEVICE} (docs/deployment.md), or leave that out"
     elif step is _pin:
         allowed = ",".join(map(str, sorted(os.sched_getaffinity(0))))
         what = f"stay on core {_core(settings)} (realtime.core)"
@@ -110,7 +125,7 @@ def _explain(step: Callable[[RealtimeSettings], None], settings: RealtimeSetting
         remedy = f"give it CAP_SYS_NICE, or LimitRTPRIO={settings.priority} in the unit (ulimit -r)"
     reason = (
         "not permitted"
-        if error.errno in (errno.EPERM, errno.ENOMEM)
+        if error.errno in (errno.EPERM, errno.EACCES, errno.ENOMEM)
         else (error.strerror or "failed").lower()
     )
     return f"cannot {what}: {reason}; {remedy}"

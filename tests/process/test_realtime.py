@@ -6,6 +6,7 @@ import gc
 import os
 import sys
 import threading
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -15,7 +16,7 @@ from kffa_offboard.process.realtime import Collector, RealtimeSettings, become_r
 
 
 @pytest.fixture
-def system(monkeypatch):
+def system(monkeypatch, tmp_path):
     """An operating system that takes note and, if told to, refuses."""
     asked = SimpleNamespace(refuses=False, scheduled={}, cores=None, locked=None)
 
@@ -40,6 +41,7 @@ def system(monkeypatch):
     monkeypatch.setattr(os, "sched_setscheduler", schedule)
     monkeypatch.setattr(os, "sched_setaffinity", pin)
     monkeypatch.setattr(realtime.ctypes, "CDLL", lambda *_, **__: SimpleNamespace(mlockall=lock))
+    monkeypatch.setattr(realtime, "LATENCY_DEVICE", str(tmp_path / "cpu_dma_latency"))
     before = sys.getswitchinterval()
     yield asked
     sys.setswitchinterval(before)
@@ -63,6 +65,20 @@ def test_the_control_loop_goes_before_the_other_threads_of_the_process(system):
 def test_each_thing_can_be_left_out(system):
     assert become_real_time(RealtimeSettings(priority=0, pin=False, lock_memory=False)) == []
     assert (system.scheduled, system.cores, system.locked) == ({}, None, None)
+
+
+def test_the_processor_is_kept_awake_for_as_long_as_the_process_lives(system, tmp_path):
+    device = tmp_path / "cpu_dma_latency"
+    device.touch()
+    assert become_real_time(RealtimeSettings(keep_awake=True)) == []
+    assert device.read_bytes() == bytes(4), "0 us, as 32 bits"
+    open_files = {os.path.realpath(entry) for entry in Path("/proc/self/fd").iterdir()}
+    assert str(device) in open_files
+
+
+def test_that_it_cannot_be_kept_awake_is_said(system):
+    (line,) = become_real_time(RealtimeSettings(keep_awake=True))
+    assert line.startswith("cannot keep the processor awake (realtime.keep_awake): no such file")
 
 
 def test_each_refusal_is_a_line_with_its_remedy(system):
