@@ -69,12 +69,41 @@ def at_moments(fault_flight, personality, scenario, alone_s):
 @pytest.mark.parametrize(("personality", "lands"), [("px4", True), ("ardupilot", False)])
 def test_a_daemon_killed_in_hover_leaves_a_level_vehicle_to_the_autopilot(fault_flight, personality, lands):
     alone = killed(fault_flight(personality, scenario=HOVER, output="rates").prepare().until(4.0), 12.0)
-    assert alone.tilt[200:].max() < 0.01
     assert alone.vehicle.firmware.armed is not lands, "PX4 lands and disarms"
+    assert alone.tilt.max() < 0.01
+    assert alone.height.max() < 0.3, "the thrust of the last setpoint runs on, with its noise"
     if lands:
+        assert alone.climb.min() > -1.7
         assert -5.1 < alone.height.min() < -4.9
     else:
+        assert alone.climb.min() > -0.15
+        assert alone.height.min() > -0.1
         assert abs(alone.height[-1] - alone.height[-300]) < 0.1
+
+
+@pytest.mark.parametrize(
+    ("personality", "scenario", "at_s", "rise", "tilt"),
+    [
+        ("px4", HOVER, 4.13, 1.1, 0.025),
+        ("px4", HOVER, 4.31, 0.1, 0.025),
+        ("px4", HOVER, 4.5, 1.1, 0.025),
+        ("px4", HOVER, 4.77, 0.7, 0.025),
+        ("ardupilot", HOVER, 4.13, 0.35, 0.025),
+        ("px4", SWING, 4.25, 0.1, 0.85),
+        ("px4", SWING, 3.9, 1.5, 0.7),
+        ("ardupilot", SWING, 4.75, 0.6, 0.45),
+    ],
+)
+def test_a_daemon_killed_at_these_moments_leaves_the_vehicle_near(
+    fault_flight, personality, scenario, at_s, rise, tilt
+):
+    """What the setpoint of each of them is worth; what holds for all follows below."""
+    alone = killed(fault_flight(personality, scenario=scenario, output="rates").prepare().until(at_s), 12.0)
+    assert alone.height.max() < rise
+    assert alone.tilt.max() < tilt
+    assert alone.tilt[300:].max() < 0.15
+    if scenario is HOVER:
+        assert alone.climb.min() > -1.7
 
 
 @pytest.mark.parametrize("personality", ["px4", "ardupilot"])

@@ -9,14 +9,15 @@ ROPE = {"payload": {"clock": "boot", "rope_length_m": 2.0, "schedule": [{"time_s
 HEAVY = {"payload": {"clock": "boot", "schedule": [{"time_s": AT, "mass_kg": 6.73}]}}
 SATURATED = {"start_s": AT, "duration_s": 2.0, "share": 0.35}
 SATURATED_M = (2.0, 6.3)
-"""With 0.35 of 0.398 it falls at 1.2 m/s^2: by 2.4 m in 2 s, and 0.3 m until 0.95 have stopped it; 0.3 m more
-where it tilts and its motors differ. Thrust turns round when what is left is the speed over omega_c / 2: with
-6 m/s 1.5 m below 5 m, and motors and 8.6 m/s^2 take 2.7 m."""
+"""With any noise; the case's own are narrower. With 0.35 of 0.398 it falls at 1.2 m/s^2: by 2.4 m in 2 s,
+and 0.3 m until 0.95 have stopped it; 0.3 m more where it tilts and its motors differ. Thrust turns round when
+what is left is the speed over omega_c / 2: with 6 m/s 1.5 m below 5 m, and motors and 8.6 m/s^2 need 2.7.
+"""
 SATURATED_TILT_RAD = math.radians(30.0)
 """What setpoints may ask for. While all four motors give what they may there is no torque: the angle drifts
 with the rate that it has, until a difference is asked for that exceeds 0.95 - 0.35."""
 CASES = {  # vehicle, bounds of height [m] and tilt [rad]
-    "thrust-saturated": ({"faults": {"thrust_limit": [SATURATED]}}, SATURATED_M, SATURATED_TILT_RAD),
+    "thrust-saturated": ({"faults": {"thrust_limit": [SATURATED]}}, (2.2, 6.3), 0.2),
     "weak-motor": ({"faults": {"weak_motor": [{"start_s": AT}]}}, (4.9, 5.1), 0.15),
     "battery-sag": ({"faults": {"battery_sag": [{"start_s": AT, "loss_per_s": 0.05}]}}, (4.9, 5.1), 0.05),
     "heavy-load": (HEAVY, (4.85, 5.15), 0.05),

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import random
 import threading
+import time
 from collections.abc import Hashable, Iterator
 from pathlib import Path
 
@@ -17,7 +18,7 @@ from kffa_offboard.config import Overrides, build, bundled, read_toml
 from kffa_offboard.config_log import config_of, flight_header, make_companion, parameter_keeper
 from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.tlog import read_tlog
-from kffa_offboard.flightlog.writer import TlogWriter
+from kffa_offboard.flightlog.writer import BATCH_SIZE, TlogWriter
 from kffa_offboard.mavlink.component import Route
 from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.mavlink.session import Session
@@ -118,6 +119,7 @@ class Soak:
         watch = LoopWatch(self.clock, ServiceManager({}), collector, [lambda: next(samples)])
         header = flight_header(self.daemon, lockstep=False, changed=changed)
         with TlogWriter(self.log, header=header, part_size=self.part_size) as writer:
+            self.writer = writer
             self.session = Session(
                 Service(self.daemon.service),
                 self.link,
@@ -131,9 +133,14 @@ class Soak:
             self.session.close("flown")
 
     def _samples(self) -> Iterator[str | None]:
-        """Looks at the memory; never in trouble."""
+        """Looks at the memory; never in trouble.
+
+        Simulated time runs faster than the disk at times. In real time no more than this waits for it.
+        """
         due_us = self.sample_us
         while True:
+            while len(self.writer._records) > 2 * BATCH_SIZE:
+                time.sleep(0.001)
             if self.link.vehicle.time_us >= due_us:
                 due_us += self.sample_us
                 self.resident.append(resident_mib())
