@@ -9,14 +9,13 @@ for field. What is no ordinary frame (damaged, signed, MAVLink 1, of an unknown 
 from __future__ import annotations
 
 import struct
-import sys
-from array import array
 from collections.abc import Callable, Sequence
 from functools import cache
 from operator import attrgetter, itemgetter
 from typing import Any, NamedTuple
 
 from fastcrc.crc16 import mcrf4xx
+from msgspec import Struct
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from pymavlink.dialects.v20.development import MAVLink_current_mode_message
 
@@ -34,6 +33,20 @@ mavlink.mavlink_map.setdefault(CURRENT_MODE, MAVLink_current_mode_message)
 _PYMAVLINK = mavlink.MAVLink(None)
 
 
+class Outgoing(Struct, frozen=True):
+    """A message that is only to be sent.
+
+    Attributes
+    ----------
+    kind : pymavlink's class of it
+    values : in the order of the frame, an array as one value, a text as bytes. An array at the end may be its
+        bytes in the frame.
+    """
+
+    kind: Any
+    values: tuple[Any, ...]
+
+
 class _Layout(NamedTuple):
     """What is always the same about one type of message.
 
@@ -45,9 +58,8 @@ class _Layout(NamedTuple):
     wire_values : of a message: its values in the order of the frame, an array as one
     arrays : places of the arrays among them, the last first
     fields : of the frame's numbers and texts: the message's fields, in its own order, an array as a tuple
-    finished : whether they are the fields as they are, without arrays and texts
-    front, tail, tail_size : the layout without an array at its end, and that array's type and length; "" and
-        0 if there is none, or the machine has another order of bytes
+    unfinished : places of arrays and texts among them
+    front : layout without an array at its end
     """
 
     number: tuple[int, int]
@@ -56,10 +68,8 @@ class _Layout(NamedTuple):
     wire_values: Callable[[Any], tuple[Any, ...]]
     arrays: tuple[int, ...]
     fields: Callable[[tuple[Any, ...]], tuple[Any, ...]]
-    finished: bool
+    unfinished: tuple[int, ...]
     front: struct.Struct
-    tail: str
-    tail_size: int
 
 
 @cache
@@ -67,14 +77,15 @@ def _layout(kind: Any) -> _Layout:
     """Of one of pymavlink's message classes."""
     types = dict(zip(kind.fieldnames, kind.fieldtypes, strict=True))
     sizes, at = kind.lengths, 0
+    texts = [types[name] == "char" for name in kind.ordered_fieldnames]
     names: list[str] = []
     places: list[int | slice] = []
-    for name, size in zip(kind.ordered_fieldnames, sizes, strict=True):
-        text = types[name] == "char"
+    for name, size, text in zip(kind.ordered_fieldnames, sizes, texts, strict=True):
         names.append(f"_{name}_raw" if text and kind.array_lengths[len(names)] else name)
         places.append(at if size == 1 else slice(at, at + size))
         at += size
     arrays = [place for place, size in enumerate(sizes) if size > 1]
+    layout, last = kind.unpacker.format, sizes[-1]
     return _Layout(
         (kind.id & 0xFFFF, kind.id >> 16),
         kind.unpacker,
@@ -82,17 +93,9 @@ def _layout(kind: Any) -> _Layout:
         _several(attrgetter, names),
         tuple(reversed(arrays)),
         _several(itemgetter, [places[order] for order in kind.orders]),
-        not arrays and "char" not in types.values(),
-        *_split(kind.unpacker.format, sizes[-1]),
+        tuple(place for place, order in enumerate(kind.orders) if sizes[order] > 1 or texts[order]),
+        struct.Struct(layout.removesuffix(f"{last}{layout[-1]}") if last > 1 else layout),
     )
-
-
-def _split(layout: str, last: int) -> tuple[struct.Struct, str, int]:
-    """`_Layout.front`, `tail`, `tail_size`; `last` is the size of the last field."""
-    ending = f"{last}{layout[-1]}"
-    if last < 2 or sys.byteorder != "little" or layout[-1] not in "fd" or not layout.endswith(ending):
-        return struct.Struct("<"), "", 0
-    return struct.Struct(layout.removesuffix(ending)), layout[-1], last
 
 
 def _several(getter: Callable[..., Callable[[Any], Any]], which: Sequence[Any]) -> Callable[[Any], Any]:
@@ -109,25 +112,27 @@ def checksum(covered: bytes, crc_extra: bytes) -> bytes:
 
 
 def _payload(layout: _Layout, values: tuple[Any, ...]) -> bytes:
-    """All of it. An array at its end may be one of the machine's own kind, which lies there as it is sent."""
+    """With arrays. One at the end may be the bytes of the frame already."""
     last = values[-1]
-    if type(last) is array and last.typecode == layout.tail and len(last) == layout.tail_size:
-        return layout.front.pack(*values[:-1]) + last.tobytes()
+    if isinstance(last, bytes) and 0 < len(last) == layout.payload.size - layout.front.size:
+        return layout.front.pack(*values[:-1]) + last
     for place in layout.arrays:
         values = (*values[:place], *values[place], *values[place + 1 :])
     return layout.payload.pack(*values)
 
 
 def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
-    """A message of `system`/`component` as a frame: what ``message.pack`` of pymavlink gives.
+    """A message, `Outgoing` or pymavlink's, of `system`/`component` as a frame: what its ``pack`` gives.
 
     Raises struct.error for a value that its field cannot hold.
     """
     kind: Any = type(message)
-    layout = _layout(kind)
-    payload = _payload(layout, layout.wire_values(message)).rstrip(b"\0") or b"\0"  # zeros are not sent
+    layout = _layout(message.kind if kind is Outgoing else kind)
+    values = message.values if kind is Outgoing else layout.wire_values(message)
+    payload = layout.payload.pack(*values) if not layout.arrays else _payload(layout, values)
+    payload = payload.rstrip(b"\0") or b"\0"  # zeros are not sent
     covered = _HEAD.pack(len(payload), 0, 0, sequence, system, component, *layout.number) + payload
-    return b"\xfd" + covered + checksum(covered, layout.crc_extra)
+    return b"\xfd" + covered + _CHECKSUM.pack(mcrf4xx(covered + layout.crc_extra))
 
 
 def is_whole(frame: bytes, kind: Any) -> bool:
@@ -147,25 +152,31 @@ def unpack(frame: bytes) -> Any | None:
     if kind is None:
         return None
     layout = _layout(kind)
-    if checksum(frame[1:-2], layout.crc_extra) != frame[-2:]:
+    crc = mcrf4xx(frame[1:-2] + layout.crc_extra)
+    if crc != frame[-2] | frame[-1] << 8:
         return None
-    size = layout.payload.size
-    fields = layout.fields(layout.payload.unpack(frame[_PAYLOAD:-2].ljust(size, b"\0")[:size]))
-    message = kind(*(fields if layout.finished else map(_finished, fields)))
+    payload = layout.payload
+    if length == payload.size:
+        fields = layout.fields(payload.unpack_from(frame, _PAYLOAD))
+    else:
+        fields = layout.fields(payload.unpack(frame[_PAYLOAD:-2].ljust(payload.size, b"\0")[: payload.size]))
+    message = kind(*(_finished(fields, layout.unfinished) if layout.unfinished else fields))
     message._msgbuf = frame
     message._payload = frame[6:-2]  # so pymavlink has it
-    (message._crc,) = _CHECKSUM.unpack(frame[-2:])
+    message._crc = crc
     header = message._header
     header.mlen, header.incompat_flags, header.compat_flags = length, flags, other_flags
     header.seq, header.srcSystem, header.srcComponent = sequence, system, component
     return message
 
 
-def _finished(value: Any) -> Any:
+def _finished(fields: tuple[Any, ...], unfinished: tuple[int, ...]) -> list[Any]:
     """An array as a list, a text without the zeros behind it."""
-    if isinstance(value, tuple):
-        return list(value)
-    return value.rstrip(b"\0") if isinstance(value, bytes) else value
+    finished = [*fields]
+    for place in unfinished:
+        value = finished[place]
+        finished[place] = [*value] if isinstance(value, tuple) else value.rstrip(b"\0")
+    return finished
 
 
 def decode(frame: bytes) -> Any:

@@ -108,6 +108,34 @@ def test_a_value_that_its_field_cannot_hold_is_an_error():
         frame_codec.pack(mavlink.MAVLink_attitude_message(-1, 0, 0, 0, 0, 0, 0), 1, 1, 0)
 
 
+def test_a_message_without_pymavlink_s_object_is_the_same_frame():
+    data = [0.5 * k for k in range(58)]
+    array = mavlink.MAVLink_debug_float_array_message(5, b"name", 7, data)
+    value = mavlink.MAVLink_named_value_float_message(6, b"value", 0.25)
+    packed_data = struct.pack("<58f", *data)
+    for message, values in (
+        (array, (5, 7, b"name", data)),
+        (array, (5, 7, b"name", packed_data)),
+        (value, (6, 0.25, b"value")),
+    ):
+        outgoing = frame_codec.Outgoing(type(message), values)
+        assert frame_codec.pack(outgoing, 245, 191, 9) == frame_codec.pack(message, 245, 191, 9)
+
+
+@pytest.mark.parametrize("data", [b"", bytes(4 * 57), bytes(4 * 58 + 1)])
+def test_an_array_whose_bytes_are_too_few_or_too_many_is_an_error(data):
+    kind = mavlink.MAVLink_debug_float_array_message
+    with pytest.raises(struct.error):
+        frame_codec.pack(frame_codec.Outgoing(kind, (5, 7, b"name", data)), 245, 191, 9)
+
+
+def test_an_empty_text_behind_an_array_is_packed():
+    """It is no array, which may be given as bytes."""
+    message = mavlink.MAVLink_open_drone_id_self_id_message(1, 2, list(range(20)), 3, b"")
+    frame = bytes(message.pack(mavlink.MAVLink(None, 245, 191)))
+    assert frame_codec.pack(message, 245, 191, 0) == frame
+
+
 def test_frames_of_one_sender_are_numbered_and_begin_again_after_255():
     packer = frame_codec.Packer(245, 191)
     message = mavlink.MAVLink_attitude_message(0, 0, 0, 0, 0, 0, 0)

@@ -56,7 +56,7 @@ LAWS = 32
 """Sets of parameters whose functions are kept."""
 
 REMEMBERED = 256
-"""Coefficients that are kept for each of them; beyond it what was needed longest ago is forgotten."""
+"""Coefficients that are kept for each of them; beyond it the oldest ones are forgotten."""
 
 
 _ANY_STEP = 0.01  # s; the function is the same for all
@@ -89,12 +89,12 @@ class Shares(NamedTuple):
 
     Attributes
     ----------
-    means : for each channel in what acted, then in what will: place and share of each command that acts
+    means : channel, and place and share of each command that acts: for all in what acted, then in what will
     over : how many act no more
     ages : of the others, s
     """
 
-    means: list[list[tuple[int, float]]]
+    means: list[tuple[int, list[tuple[int, float]]]]
     over: int
     ages: tuple[float, ...]
 
@@ -111,7 +111,7 @@ class Law:
     Attributes
     ----------
     function : of the numbers of the state, the last command, reference, measurement, what is fresh, the
-        measured rate if there is one, means, gains of the Kalman filter if there is one, and `Found.numbers`
+        measured rate (none: empty), means, gains of the Kalman filter (none: empty), and `Found.numbers`
     """
 
     def __init__(self, parameters: ControllerParameters, with_rate: bool) -> None:
@@ -128,12 +128,12 @@ class Law:
     def find(self, state: PlainState, inputs: PlainInput, dt: float) -> Found:
         """Look up the coefficients of a step, or work them out."""
         key = (dt, inputs.fresh, state.elapsed)
-        known = self._found.pop(key, None)
+        known = self._found.get(key)
         if known is None:
             found = discretised(self._parameters, array_state(state), inputs.arrays(), dt)
             numbers = _flat(_coefficient_arrays(found)) + self._numbers
             known = Found(tuple(found.elapsed.tolist()), numbers, _windows(found))
-        _keep(self._found, key, known)  # as the latest
+            _keep(self._found, key, known)
         return known
 
     def find_gains(self, state: PlainState, inputs: PlainInput, dt: float) -> FoundGains:
@@ -141,7 +141,7 @@ class Law:
         if self._parameters.kalman is None:
             return _NO_GAINS
         key = (dt, inputs.fresh, state.spreads)
-        known = self._gains.pop(key, None)
+        known = self._gains.get(key)
         if known is None:
             filtered = array_state(state).kalman
             assert filtered is not None
@@ -149,7 +149,7 @@ class Law:
                 self._parameters, self._parameters.kalman, filtered, inputs.arrays(), dt
             )
             known = FoundGains(_flat(gains), spreads)
-        _keep(self._gains, key, known)
+            _keep(self._gains, key, known)
         return known
 
     def shares(self, state: PlainState, found: Found, dt: float) -> Shares:
@@ -160,7 +160,7 @@ class Law:
             ages = actuator.aged(state.ages, dt)
             over = actuator.count_over(self._parameters.actuator, ages)
             acting = {seen: actuator.shares_of_one(ages, *seen) for seen in set(found.windows)}
-            means = [acting[seen] for seen in found.windows]
+            means = [(number % len(found.elapsed), acting[seen]) for number, seen in enumerate(found.windows)]
             known = Shares(means, over, actuator.kept(ages, over))
             _keep(self._shares, key, known)
         return known
@@ -216,21 +216,22 @@ def step(
     found, gains = known.find(state, inputs, dt), known.find_gains(state, inputs, dt)
     shares, commands, size = known.shares(state, found, dt), state.commands, len(found.elapsed)
     means = []
-    for number, acting in enumerate(shares.means):
-        mean, channel = 0.0, number % size
+    for channel, acting in shares.means:
+        mean = 0.0
         for place, share in acting:
             mean += share * commands[place][channel]
         means.append(mean)
-    given: list[Sequence[Any]] = [
+    numbers = known.function(
         state.numbers,
         commands[-1],
         inputs.reference,
         inputs.measurement,
         inputs.fresh,
-    ]
-    given += [means] if rate is None else [rate, means]
-    given += [gains.numbers, found.numbers] if gains.numbers else [found.numbers]
-    numbers = known.function(*given)
+        () if rate is None else rate,
+        means,
+        gains.numbers,
+        found.numbers,
+    )
     end = len(state.numbers)
     command = numbers[end : end + size]
     under_way = sent(shares.ages, commands[shares.over :], command)
@@ -316,19 +317,20 @@ def _traced(parameters: ControllerParameters, with_rate: bool) -> Function:
     arguments: dict[str, Traced] = {}
 
     def symbols(arrays: Sequence[Array]) -> list[Any]:
-        """One argument, flat, for arrays like these."""
-        name, ends = f"a{len(arguments)}", np.cumsum([array.size for array in arrays]).tolist()
-        flat = arguments[name] = tape.inputs(f"{name}_", (ends[-1],))
+        """One argument, flat, for arrays like these; it may be empty."""
+        name, sizes = f"a{len(arguments)}", [array.size for array in arrays]
+        flat, ends = tape.inputs(f"{name}_", (sum(sizes),)), np.cumsum(sizes, dtype=int).tolist()
+        arguments[name] = flat
         return [
             flat[end - array.size : end].reshape(array.shape) for array, end in zip(arrays, ends, strict=True)
         ]
 
     state = _with_state_arrays(state, symbols(_changing_arrays(state)), *symbols([zero]))
-    inputs = ControllerInput(
-        *symbols([zero]), *symbols([zero]), *symbols([zero]), *(symbols([zero]) if with_rate else [])
-    )
+    given_inputs = [*symbols([zero]), *symbols([zero]), *symbols([zero])]
+    inputs = ControllerInput(*given_inputs, *symbols([zero] if with_rate else []))
     means = symbols([zero, zero])
-    gains = None if found.kalman is None else KalmanGains(*symbols(found.kalman))
+    kalman = symbols([] if found.kalman is None else found.kalman)
+    gains = KalmanGains(*kalman) if kalman else None
     given, free = _coefficient_arrays(found), _parameter_arrays(parameters)
     numbers = symbols([*given, *free])
     changed = _with_parameter_arrays(parameters, numbers[len(given) :])

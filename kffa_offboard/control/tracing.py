@@ -274,6 +274,7 @@ def compiled(
     body = [
         f"({', '.join(entry.arguments[0] for entry in _entries(array).reshape(-1))},) = {name}"
         for name, array in inputs.items()
+        if array.size
     ]
     body += [*writer.lines, f"return ({', '.join(writer.results)},)"]
     source = "\n    ".join([f"def function({', '.join(inputs)}):", *body])

@@ -102,7 +102,7 @@ def to_messages(note: Note) -> list[Any]:
 
 def is_note(message: Any) -> bool:
     """True if `message` is a piece of a note."""
-    return bool(message.get_type() == "TUNNEL" and message.payload_type == PAYLOAD_TYPE)
+    return bool(message.msgname == "TUNNEL" and message.payload_type == PAYLOAD_TYPE)
 
 
 class NoteReader:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.frame_codec import is_whole
+from kffa_offboard.frame_codec import Outgoing, is_whole
 from kffa_offboard.offboard.events import Signals
 
 NAME = "kffa"
@@ -52,6 +52,7 @@ _PLACE = _SATURATED + CHANNELS
 _SIZE = 58
 _LATENCY = _SIZE - 1
 _NAME = NAME.encode()
+_DATA = struct.Struct(f"<{_SIZE}f")
 _HEAD = struct.Struct(f"<QH10s{4 * _STATE}xf")  # time, array_id, name, and the state behind the blocks
 _NO_PLACE = (0.0, 0.0, 0.0)
 _SPARE = (0.0,) * (_LATENCY - _PLACE - len(_NO_PLACE))
@@ -93,7 +94,7 @@ class SignalTable:
         return np.asarray((self.time_us - first) / 1e6, dtype=float)
 
 
-def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Any:
+def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Outgoing:
     """Signals as a DEBUG_FLOAT_ARRAY message.
 
     Raises ValueError for a block that has not four values or a state without a number.
@@ -105,11 +106,14 @@ def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Any:
         raise ValueError(f"signals.{BLOCKS[wrong]} has {sizes[wrong]} values; {CHANNELS} channels are needed")
     if signals.state not in _STATE_NUMBERS:
         raise ValueError(f"signals.state {signals.state!r} is none of {', '.join(STATE_NAMES)}")
-    data: list[float] = [*chain.from_iterable(blocks), _STATE_NUMBERS[signals.state], signals.dt]
     place = _NO_PLACE if signals.position_reference is None else (1.0, *signals.position_reference)
-    data += (*signals.saturated, *place, *_SPARE, signals.latency_s)
-    packable = array("f", data)  # what float32 cannot hold is logged as infinite
-    return mavlink.MAVLink_debug_float_array_message(signals.time_us, _NAME, array_id, packable)
+    state = _STATE_NUMBERS[signals.state], signals.dt, *signals.saturated
+    numbers = (*chain.from_iterable(blocks), *state, *place, *_SPARE, signals.latency_s)
+    try:
+        data = _DATA.pack(*numbers)
+    except OverflowError:
+        data = _DATA.pack(*array("f", numbers))  # what float32 cannot hold is logged as infinite
+    return Outgoing(mavlink.MAVLink_debug_float_array_message, (signals.time_us, array_id, _NAME, data))
 
 
 def is_signals(message: Any, array_id: int = ARRAY_ID) -> bool:

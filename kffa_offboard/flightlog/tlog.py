@@ -28,21 +28,17 @@ _HEAD_SIZE = 3  # marker, payload length, incompatibility flags: enough to know 
 _OVERHEAD_V1 = 8
 _OVERHEAD_V2 = 12
 _SIGNATURE_SIZE = 13
-_LONGEST_RECORD = TIMESTAMP.size + _OVERHEAD_V2 + 255 + _SIGNATURE_SIZE
 _BLOCK = 1 << 16
 
 SIGNAL_KINDS = (mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY,)
 
 
-def frame_size(head: bytes) -> int | None:
+def frame_size(marker: int, payload_size: int, flags: int) -> int | None:
     """Length of the MAVLink frame that begins with these 3 bytes; None if they begin none."""
-    marker, payload_size, flags = head
-    if marker == _MARKER_V1:
-        return _OVERHEAD_V1 + payload_size
     if marker == _MARKER_V2:
         signed = flags & mavlink.MAVLINK_IFLAG_SIGNED
         return _OVERHEAD_V2 + payload_size + (_SIGNATURE_SIZE if signed else 0)
-    return None
+    return _OVERHEAD_V1 + payload_size if marker == _MARKER_V1 else None
 
 
 def message_id(frame: bytes) -> int:
@@ -110,27 +106,34 @@ class TlogReader:
         data, at = b"", 0  # what of the file was read last, and where in it the next record begins
         position = 0  # of this part in the file
         while True:
-            while len(data) - at < _LONGEST_RECORD and (more := self._more(file)):
-                data, at, position = data[at:] + more, 0, position + at
-            begins = at + TIMESTAMP.size
-            if at == len(data):
-                return
-            if len(data) < begins + _HEAD_SIZE:
-                self.truncated = True
-                return
-            size = frame_size(data[begins : begins + _HEAD_SIZE])
-            if size is None:
+            more = self._more(file)
+            data, position = data[at:] + more, position + at
+            records, at = self._whole_records(data)
+            yield from records
+            head = data[at + TIMESTAMP.size : at + TIMESTAMP.size + _HEAD_SIZE]
+            if len(head) == _HEAD_SIZE and frame_size(*head) is None:
                 self._end_or_damage(file, data[at:], position + at)
                 return
-            if len(data) < begins + size:
-                self.truncated = True
+            if not more:
+                self.truncated = self.truncated or at < len(data)
                 return
+
+    def _whole_records(self, data: bytes) -> tuple[list[tuple[int, bytes]], int]:
+        """The records that the data begins with, and where the first one begins that is not whole."""
+        found, at, end = [], 0, len(data)
+        while end - at >= TIMESTAMP.size + _HEAD_SIZE:
+            begins = at + TIMESTAMP.size
+            marker, payload_size, flags = data[begins : begins + _HEAD_SIZE]
+            size = frame_size(marker, payload_size, flags)
+            if size is None or begins + size > end:
+                break
             (time_us,) = TIMESTAMP.unpack_from(data, at)
             at = begins + size
             if time_us < LATEST_US:
-                yield time_us, data[begins:at]
+                found.append((time_us, data[begins:at]))
             else:
                 self.damaged += 1
+        return found, at
 
     def _more(self, file: _Source) -> bytes:
         """The next bytes of the file; none at its end, or where a compressed one was cut short."""

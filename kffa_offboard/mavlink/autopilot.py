@@ -109,7 +109,7 @@ class Autopilot(ABC):
 
     def decode(self, message: Message) -> list[Event]:
         """Events of one message of the target."""
-        decoder = self._decoders.get(message.get_type())
+        decoder = self._decoders.get(message.msgname)
         return [] if decoder is None else decoder(message)
 
     def _targets(self, message: Message) -> list[Event]:

@@ -86,8 +86,9 @@ def attitude_target(route: Route, target: AttitudeTarget, time_us: int) -> Messa
 
 
 def _checked_body_rates(body_rates: Vector3) -> Vector3:
-    for name, rate in zip(_BODY_RATES, body_rates, strict=True):
-        _check(name, rate, -BODY_RATE_LIMIT, BODY_RATE_LIMIT)
+    for number, rate in enumerate(body_rates):
+        if not -BODY_RATE_LIMIT <= rate <= BODY_RATE_LIMIT:
+            _check(_BODY_RATES[number], rate, -BODY_RATE_LIMIT, BODY_RATE_LIMIT)
     return frames.body_rates_to_frd(body_rates)
 
 
@@ -173,4 +174,4 @@ def timesync_answer(request: Message, own_time_ns: int) -> Message:
 
 def is_timesync_request(message: Message) -> bool:
     """True for a TIMESYNC that asks (tc1 = 0) rather than answers."""
-    return bool(message.get_type() == "TIMESYNC" and message.tc1 == 0)
+    return bool(message.msgname == "TIMESYNC" and message.tc1 == 0)

@@ -98,7 +98,7 @@ class Companion:
 
     def receive(self, time_us: int, message: Message) -> list[Event]:
         """Take one of `MESSAGES` from anybody; return what the service is to be told."""
-        kind = message.get_type()
+        kind = message.msgname
         if kind in ("COMMAND_LONG", "COMMAND_INT"):
             return self._command(time_us, message)
         if kind == "TIMESYNC":
@@ -115,7 +115,7 @@ class Companion:
         """Take note of what the service says."""
         if isinstance(output, Signals):
             self._replies += self._streams.take(output)
-        elif isinstance(output, OwnHeartbeat | RequestRefused):
+        elif isinstance(output, (OwnHeartbeat, RequestRefused)):
             if isinstance(output, RequestRefused):
                 self._parameters.refuse(output.reason)
             refused = self._commands.note(output)

@@ -15,7 +15,7 @@ from kffa_offboard import frame_codec
 from kffa_offboard.mavlink.transport import Datagram
 
 Message: TypeAlias = Any
-"""A pymavlink message; which fields it has depends on its type (`get_type()`)."""
+"""A pymavlink message; which fields it has depends on its type (`msgname`, "" for none that is known)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,10 +81,9 @@ class FrameParser:
         self._source = datagram.source
         messages: list[Message] = []
         for message in self._found(datagram.data, unfinished):
-            kind = message.get_type()
-            if kind == "BAD_DATA":
+            if not message.msgname and message.get_type() == "BAD_DATA":
                 self.damaged_bytes += len(message.data)
-            elif kind == "SETUP_SIGNING":
+            elif message.msgname == "SETUP_SIGNING":
                 messages.append(_without_key(message))
             else:
                 messages.append(message)

@@ -21,44 +21,40 @@ LEVEL: Quaternion = (1.0, 0.0, 0.0, 0.0)
 """The attitude without rotation, the same in both axes."""
 
 
-def _half_turn_about_x(x: float, y: float, z: float) -> Vector3:
-    return (x, -y, -z)
-
-
 def vector_from_ned(x: float, y: float, z: float) -> Vector3:
     """World vector (position, velocity) NED -> north-west-up."""
-    return _half_turn_about_x(x, y, z)
+    return (x, -y, -z)
 
 
 def vector_to_ned(vector: Vector3) -> Vector3:
     """World vector north-west-up -> NED."""
-    return _half_turn_about_x(*vector)
+    return vector_from_ned(*vector)
 
 
 def body_rates_from_frd(p: float, q: float, r: float) -> Vector3:
     """Body rates [rad/s] about forward, right, down -> about forward, left, up."""
-    return _half_turn_about_x(p, q, r)
+    return (p, -q, -r)
 
 
 def body_rates_to_frd(body_rates: Vector3) -> Vector3:
     """Body rates [rad/s] about forward, left, up -> about forward, right, down."""
-    return _half_turn_about_x(*body_rates)
+    return body_rates_from_frd(*body_rates)
 
 
 def euler_from_ned(roll: float, pitch: float, yaw: float) -> Vector3:
     """Euler angles (ZYX) of FRD in NED -> of forward-left-up in north-west-up."""
-    return _half_turn_about_x(roll, pitch, yaw)
+    return (roll, -pitch, -yaw)
 
 
 def euler_to_ned(attitude: Vector3) -> Vector3:
     """Euler angles (ZYX) of forward-left-up in north-west-up -> of FRD in NED."""
-    return _half_turn_about_x(*attitude)
+    return euler_from_ned(*attitude)
 
 
 def quaternion_from_ned(quaternion: Quaternion) -> Quaternion:
     """Attitude FRD in NED -> forward-left-up in north-west-up."""
     w, x, y, z = quaternion
-    return (w, *_half_turn_about_x(x, y, z))
+    return (w, x, -y, -z)
 
 
 def quaternion_to_ned(quaternion: Quaternion) -> Quaternion:

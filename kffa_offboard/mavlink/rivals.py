@@ -51,7 +51,7 @@ class RivalWatch:
 
     def watch(self, time_us: int, message: Message) -> IntrusionNoticed | None:
         """What is wrong about a message, or None; there is nothing wrong about others than `MESSAGES`."""
-        kind = message.get_type()
+        kind = message.msgname
         if self._route.from_target(message):
             if kind == "ATTITUDE":
                 return self._watch_time(time_us, message.time_boot_ms)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from itertools import groupby
 from typing import Protocol, TypeAlias
 
 from kffa_offboard.mavlink import parameter_keeper
@@ -23,7 +22,7 @@ from kffa_offboard.mavlink.reception import Reception
 from kffa_offboard.mavlink.rivals import RivalWatch
 from kffa_offboard.mavlink.transmission import Transmission
 from kffa_offboard.mavlink.transport import Datagram, Link
-from kffa_offboard.mavlink.vehicle import Vehicle
+from kffa_offboard.mavlink.vehicle import Vehicle, decoded_kinds
 from kffa_offboard.offboard.events import (
     Announce,
     AttitudeTarget,
@@ -53,6 +52,10 @@ ProcessRequest: TypeAlias = (
 
 _OTHER_KINDS = RivalWatch.MESSAGES | Companion.MESSAGES | frozenset(parameter_keeper.MESSAGES)
 """Messages that somebody else than the vehicle's adapter looks at."""
+
+KINDS = _OTHER_KINDS | decoded_kinds()
+"""Messages that a session looks into, whatever firmware the vehicle has. Of others it only matters that
+something has come, once the service has finished."""
 
 
 class OffboardService(Protocol):
@@ -160,6 +163,8 @@ class Session:
         self.counters = self._transmission.counters
         self._due_us: int | None = None
         self._due_known = False  # what is done here may change what is due
+        self._others_us: int | None = None
+        self._others_known = False  # the same, but for the service
         self._may_reply = False  # since the last reply something was done that may need one
 
     def read(self, datagram: Datagram) -> list[Message]:
@@ -179,7 +184,7 @@ class Session:
         self.advance(time_us)
         if self._recorder is not None:
             self._recorder.write(time_us, bytes(message.get_msgbuf()))
-        kind, from_target = message.get_type(), self.route.from_target(message)
+        kind, from_target = message.msgname, self.route.from_target(message)
         if kind not in self._vehicle.kinds and kind not in _OTHER_KINDS and self.service.finished is None:
             self.counters.telemetry_received += from_target
             return False  # it says nothing to anybody here
@@ -193,7 +198,8 @@ class Session:
             for event in self._companion.receive(time_us, message):
                 self.tell(time_us, event)
             if kind != "TIMESYNC":  # to which there is no reply
-                self._due_known, self._may_reply = False, True
+                self._told_others()
+                self._may_reply = True
         if self._may_reply:
             self._reply(time_us)
         return from_target and kind == "ATTITUDE"
@@ -209,7 +215,7 @@ class Session:
             for request in self._vehicle.requests():
                 self._transmission.send(time_us, request)
         if self._parameters is not None and kind in parameter_keeper.MESSAGES:
-            self._due_known = False
+            self._told_others()
             self._parameters.receive(time_us, message)
             self._follow_parameters(time_us)
         elif self.service.finished is not None:
@@ -217,14 +223,14 @@ class Session:
 
     def _handle_heartbeat(self, time_us: int, event: HeartbeatReceived) -> None:
         """The first one is what others wait for."""
-        self._due_known = False
+        self._told_others()
         if self._parameters is not None:
             self._parameters.heartbeat(time_us, event)
             self._follow_parameters(time_us)
         self.tell(time_us, event)
         if not self.connected:
             self.connected = True
-            self._due_known = False
+            self._told_others()
             if self._compare_clocks:
                 self._companion.compare_clocks(time_us)
             for waiting in self._on_connected:
@@ -247,13 +253,25 @@ class Session:
         self._time_us = time_us
         while (due_us := self.next_deadline()) is not None and due_us <= time_us:
             self._due_known = False
+            others_due = self._others_us is not None and self._others_us <= due_us
             if self.service.finished is None:
                 self._dispatch(due_us, self.service.advance(due_us))
-            if self._parameters is not None:
-                self._parameters.advance(due_us)
-                self._follow_parameters(due_us)
-            self._companion.advance(due_us)
+            if others_due:
+                self._advance_others(due_us)
+            self._follow_parameters(due_us)
             self._reply(due_us)
+
+    def _advance_others(self, time_us: int) -> None:
+        """What is due of parameters and companion."""
+        self._told_others()
+        if self._parameters is not None:
+            self._parameters.advance(time_us)
+            self._follow_parameters(time_us)
+        self._companion.advance(time_us)
+
+    def _told_others(self) -> None:
+        """Parameters or companion learn something: what is due of them may be another."""
+        self._due_known = self._others_known = False
 
     def _is_due(self, time_us: int) -> bool:
         return self._due_us is not None and self._due_us <= time_us
@@ -266,12 +284,14 @@ class Session:
 
     def _first_due(self) -> int | None:
         """Of the service, the parameters and the companion."""
-        first = self.service.next_deadline() if self.service.finished is None else None
-        keeper = None if self._parameters is None else self._parameters.due_us()
-        if first is None or (keeper is not None and keeper < first):
-            first = keeper
-        companion = self._companion.next_deadline()
-        return companion if first is None or (companion is not None and companion < first) else first
+        if not self._others_known:
+            keeper = None if self._parameters is None else self._parameters.due_us()
+            self._others_us = _earlier(keeper, self._companion.next_deadline())
+            self._others_known = True
+        if self.service.finished is not None:
+            return self._others_us
+        first = self.service.next_deadline()
+        return first if self._others_us is None else _earlier(first, self._others_us)
 
     @property
     def done(self) -> bool:
@@ -290,7 +310,7 @@ class Session:
             self._recorder.write_request(time_us, request)
         self.tell(time_us, request)
         if isinstance(request, GiveUpRequested) and self._parameters is not None:
-            self._due_known = False
+            self._told_others()
             self._parameters.finish(time_us)
             self._follow_parameters(time_us)
 
@@ -301,7 +321,7 @@ class Session:
             self._recorder.write_report(time_us, report)
         if self._observer is not None:
             self._observer(time_us, report)
-        self._due_known = False
+        self._told_others()
         self._companion.report(time_us, report)
         self._reply(time_us)
 
@@ -327,7 +347,7 @@ class Session:
         if self._parameters is None:
             return
         if self.service.finished is not None:
-            self._due_known = False
+            self._told_others()
             self._parameters.finish(time_us)
         todo = self._parameters.take()
         if todo is None:
@@ -344,11 +364,15 @@ class Session:
         replies = self._companion.take()
         if not replies:
             return
-        for announces, group in groupby(replies, lambda reply: isinstance(reply, Announce)):
-            if announces:
-                self._dispatch(time_us, list(group))
+        messages: list[Message] = []
+        for reply in replies:
+            if isinstance(reply, Announce):
+                self._transmission.send_together(time_us, messages)
+                messages = []
+                self._dispatch(time_us, [reply])
             else:
-                self._transmission.send_together(time_us, list(group))
+                messages.append(reply)
+        self._transmission.send_together(time_us, messages)
 
     def answer_timesync(self, time_us: int, request: Message, own_time_ns: int) -> None:
         """Answer a TIMESYNC request of the target; others are not ours to answer."""
@@ -396,3 +420,8 @@ class Session:
             self.refusal = refusal
             LOG.error("refused to send: %s", refusal)
             self.tell(time_us, ReleaseRequested(refusal))
+
+
+def _earlier(one: int | None, other: int | None) -> int | None:
+    """Of two deadlines; None is none."""
+    return other if one is None or (other is not None and other < one) else one

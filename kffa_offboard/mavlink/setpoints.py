@@ -46,7 +46,7 @@ class SetpointRefused(ValueError):
 
 def read_setpoint(route: Route, message: Message) -> PositionSetpoint | AttitudeSetpoint | None:
     """The setpoint in a message; None if it is none or not for us. Raises SetpointRefused."""
-    kind = message.get_type()
+    kind = message.msgname
     if kind not in SETPOINTS:
         return None
     if (message.target_system, message.target_component) != (route.own_system, route.own_component):

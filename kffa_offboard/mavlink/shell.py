@@ -207,7 +207,8 @@ def take_message(session: Session, time_us: int, message: Message) -> bool:
     True if it was a sample of the attitude.
     """
     sample = session.handle(time_us, message)
-    session.answer_timesync(time_us, message, time_us * 1000)
+    if message.msgname == "TIMESYNC":
+        session.answer_timesync(time_us, message, time_us * 1000)
     return sample
 
 
@@ -269,7 +270,7 @@ class _LockStep:
     def ignored(self) -> bool:
         """The vehicle sends heartbeats and has never asked for an answer: its time does not wait for us."""
         return self.time_us is None and any(
-            message.get_type() == "HEARTBEAT" and self._session.route.from_target(message)
+            message.msgname == "HEARTBEAT" and self._session.route.from_target(message)
             for message in self._waiting
         )
 

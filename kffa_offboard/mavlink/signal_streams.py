@@ -14,6 +14,7 @@ from operator import attrgetter
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.frame_codec import Outgoing
 from kffa_offboard.mavlink.component import Message
 from kffa_offboard.offboard.events import Signals
 
@@ -50,9 +51,9 @@ def _values(signals: Signals) -> list[float]:
 
 def named_messages(signals: Signals) -> list[Message]:
     """One NAMED_VALUE_FLOAT for each of `named_values`; `time_boot_ms` is our own clock's."""
-    time_ms = signals.time_us // 1000 % 2**32
+    kind, time_ms = mavlink.MAVLink_named_value_float_message, signals.time_us // 1000 % 2**32
     return [
-        mavlink.MAVLink_named_value_float_message(time_ms, name, value)
+        Outgoing(kind, (time_ms, value, name))
         for name, value in zip(_WIRE_NAMES, _values(signals), strict=True)
     ]
 

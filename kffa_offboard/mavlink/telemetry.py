@@ -113,7 +113,7 @@ class TelemetryDecoder:
 
     def decode(self, message: Message) -> list[Event]:
         """Events of one message; none for types that do not concern control."""
-        decoder = self.decoders.get(message.get_type())
+        decoder = self.decoders.get(message.msgname)
         return [] if decoder is None else decoder(message)
 
     def _status_text(self, message: Message) -> list[Event]:

@@ -42,6 +42,12 @@ MULTIROTORS = (
 )
 
 
+def decoded_kinds() -> frozenset[str]:
+    """Types of messages of which `Vehicle.decode` makes events, whatever firmware it is."""
+    adapters = (kind(Route(), TelemetryDecoder()) for kind in _AUTOPILOTS.values())
+    return frozenset().union(*(adapter.kinds for adapter in adapters))
+
+
 class Vehicle:
     """Translation between the target's messages and the service's vocabulary.
 
@@ -74,7 +80,7 @@ class Vehicle:
         """
         if not self._route.from_target(message):
             return []
-        if message.get_type() == "HEARTBEAT" and not self._is_ours(message):
+        if message.msgname == "HEARTBEAT" and not self._is_ours(message):
             return []
         return [] if self._autopilot is None else self._autopilot.decode(message)
 

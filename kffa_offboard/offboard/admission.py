@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import hypot, isnan
+from math import ceil, hypot, isnan
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from kffa_offboard.offboard.course import course_problem
 from kffa_offboard.offboard.events import BatteryReported, LinkMeasured
 from kffa_offboard.offboard.loop import LoopState
 from kffa_offboard.offboard.settings import LimitSettings, ServiceSettings
-from kffa_offboard.offboard.telemetry import Telemetry, rate_hz
+from kffa_offboard.offboard.telemetry import Telemetry, rate_hz, slower
 
 SAMPLES_PER_RADIAN = 0.4
 """Samples in the time 1 / omega_o, at least."""
@@ -94,10 +94,12 @@ def leaves_limits(settings: ServiceSettings, loop: LoopState, grounded: bool) ->
 
 
 @lru_cache(maxsize=16)
-def _bandwidths(observer: ObserverParameters) -> tuple[float, float]:
-    """The quickest of all channels, and that of the altitude, rad/s."""
+def _needed(observer: ObserverParameters, spare: float) -> tuple[tuple[float, int], tuple[float, int]]:
+    """Bandwidth, rad/s, and samples a second that it needs: quickest of all channels, and the altitude."""
     channels = observer.fastest.tolist()
-    return max(channels), channels[3]
+    quickest, vertical = max(channels), channels[3]
+    samples = [ceil(spare * SAMPLES_PER_RADIAN * bandwidth) for bandwidth in (quickest, vertical)]
+    return (quickest, samples[0]), (vertical, samples[1])
 
 
 def slow(settings: ServiceSettings, known: Telemetry, time_us: int, spare: float = 1.0) -> str | None:
@@ -105,16 +107,19 @@ def slow(settings: ServiceSettings, known: Telemetry, time_us: int, spare: float
     observer = settings.controller.observer
     if observer is None:
         return None
-    quickest, vertical = _bandwidths(observer)
-    for name, stream, bandwidth in (
-        ("attitude", known.attitude_stream, quickest),
-        ("position", known.position_stream, vertical),
-    ):
-        needed, seen = SAMPLES_PER_RADIAN * bandwidth, rate_hz(stream, time_us)
-        if seen < spare * needed:
-            wanted = needed if seen < needed else spare * needed
-            return f"{name} at {seen:.0f} Hz; omega_o = {bandwidth:g} needs {wanted:.0f}"
+    attitude, position = known.attitude_stream, known.position_stream
+    (quickest, of_attitude), (vertical, of_position) = _needed(observer, spare)
+    if slower(attitude, of_attitude, time_us):
+        return _slow_text("attitude", rate_hz(attitude, time_us), quickest, spare)
+    if slower(position, of_position, time_us):
+        return _slow_text("position", rate_hz(position, time_us), vertical, spare)
     return None
+
+
+def _slow_text(name: str, seen: float, bandwidth: float, spare: float) -> str:
+    needed = SAMPLES_PER_RADIAN * bandwidth
+    wanted = needed if seen < needed else spare * needed
+    return f"{name} at {seen:.0f} Hz; omega_o = {bandwidth:g} needs {wanted:.0f}"
 
 
 def late(

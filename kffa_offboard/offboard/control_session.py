@@ -69,7 +69,7 @@ class ControlSession(RequestSession):
     def _order(self, time_us: int) -> Order:
         """What this step is to do in the present state."""
         if self.state not in SENDING:
-            return Order(self._level_here(), self.state.value)
+            return Order(self._level_here(), self.state._value_)
         assert self._flight is not None
         if self.state is State.ENGAGING:
             return self._order_engaging(time_us)
@@ -84,11 +84,11 @@ class ControlSession(RequestSession):
             )
             directive = self._within_limits(time_us, self._with_attitude_setpoint(directive))
         airborne = directive.ground_thrust is None
-        return Order(directive, self.state.value, sending=True, acting=True, airborne=airborne)
+        return Order(directive, self.state._value_, sending=True, acting=True, airborne=airborne)
 
     def _order_engaging(self, time_us: int) -> Order:
         assert self._flight is not None and self._engagement is not None
-        name = self.state.value
+        name = self.state._value_
         if self._engagement.grounded:
             return Order(self._idle(), name, sending=True, acting=True)
         capture = self._engagement.phase is EngagePhase.STREAM or self._capture

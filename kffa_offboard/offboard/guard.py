@@ -74,7 +74,8 @@ def _clip(value: float, lower: float, upper: float) -> float:
 
 
 def _slew(value: float, previous: float, change: float) -> float:
-    return _clip(value, previous - change, previous + change)
+    lower, upper = previous - change, previous + change
+    return lower if value < lower else upper if value > upper else value
 
 
 def tilt(attitude: Vector3) -> float:
@@ -141,22 +142,17 @@ def _check_rates(
     """Bound rates and their change; beyond `tilt_max_rad` take away the part that tilts further."""
     if previous is not None:
         change = limits.body_rate_change_max_rad_s2 * dt
-        rates = (
-            _slew(rates[0], previous[0], change),
-            _slew(rates[1], previous[1], change),
-            _slew(rates[2], previous[2], change),
-        )
+        (p, q, r), (last_p, last_q, last_r) = rates, previous
+        rates = (_slew(p, last_p, change), _slew(q, last_q, change), _slew(r, last_r, change))
     angle = tilt(attitude)
     if angle > limits.tilt_max_rad:
         away = (attitude[0] / angle, attitude[1] / angle)
         outward = max(0.0, rates[0] * away[0] + rates[1] * away[1])
         rates = (rates[0] - outward * away[0], rates[1] - outward * away[1], rates[2])
-    bounds = limits.body_rate_max_rad_s
-    return (
-        _clip(rates[0], -bounds[0], bounds[0]),
-        _clip(rates[1], -bounds[1], bounds[1]),
-        _clip(rates[2], -bounds[2], bounds[2]),
-    )
+    (p, q, r), (most_p, most_q, most_r) = rates, limits.body_rate_max_rad_s
+    if -most_p <= p <= most_p and -most_q <= q <= most_q and -most_r <= r <= most_r:
+        return rates
+    return _clip(p, -most_p, most_p), _clip(q, -most_q, most_q), _clip(r, -most_r, most_r)
 
 
 def _check_attitude(limits: LimitSettings, wanted: Vector3, previous: Vector3 | None, dt: float) -> Vector3:

@@ -104,7 +104,6 @@ class Order(Struct, frozen=True):
     capture: bool = False
     airborne: bool = False
 
-    @property
     def controls(self) -> bool:
         """The daemon's command acts, and has from the step before."""
         return self.acting and not self.capture
@@ -256,7 +255,7 @@ def step_loop(
     if flown is not None and not all(map(isfinite, flown)):
         pairs = zip(flown, _as_measured(settings, known, near), strict=True)
         flown = tuple(command if isfinite(command) else instead for command, instead in pairs)
-    own = _NOTHING if order.controls else autopilot_command(settings, known, time_us, near)
+    own = _NOTHING if order.controls() else autopilot_command(settings, known, time_us, near)
     place = position_reference(loop.horizontal, order.directive)
     if order.sending:
         trace = Trace(time_us, dt, place, measured, output, output.command, own)
@@ -282,7 +281,7 @@ def _step_controller(
         loop.horizontal,
         known,
         order.directive,
-        order.controls and not replayed,
+        order.controls() and not replayed,
         new_position,
         dt,
     )

@@ -189,18 +189,17 @@ class PayloadSession(EngageSession):
         assert known.attitude is not None and known.position is not None
         attitude, late_s = known.attitude.attitude, self.settings.telemetry.late_max_s
         old = telemetry.before_silence(self.settings.telemetry, known, trace.dt)
-        sample = PayloadSample(
-            time_us=time_us,
-            dt=trace.dt,
-            thrust=trace.applied[3] / tilt_factor(self.settings.limits, attitude),
-            attitude=attitude,
-            climb_rate=known.position.velocity[2],
-            fresh=known.position.sample_time_us != self._position_us and not old,
-            flying=order.acting and order.airborne and not self._landing(),
-            swinging=self._loop is not None
-            and self._loop.carrying is not None
-            and self._loop.carrying.swings,
-            untimed=max(trace.dt, trust.lateness_s(self._trust, time_us)) > late_s,
+        carrying = None if self._loop is None else self._loop.carrying
+        sample = PayloadSample(  # by place: names would cost three times as much
+            time_us,
+            trace.dt,
+            trace.applied[3] / tilt_factor(self.settings.limits, attitude),
+            attitude,
+            known.position.velocity[2],
+            known.position.sample_time_us != self._position_us and not old,
+            order.acting and order.airborne and not self._landing(),
+            carrying is not None and carrying.swings,
+            max(trace.dt, trust.lateness_s(self._trust, time_us)) > late_s,
         )
         self._position_us = known.position.sample_time_us
         if self._awareness is None:

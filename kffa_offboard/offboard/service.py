@@ -133,34 +133,40 @@ class Service(ControlSession):
         first: Deadline = self._own_heartbeat_us, self._beat
         if self._request_us is not None and self._request_us <= first[0]:
             first = self._request_us, self._check_rates
-        for deadline in reversed(self._payload_deadlines()):
-            first = deadline if deadline[0] <= first[0] else first
+        if self._gripper_us is not None or self._release_plan is not None:
+            for deadline in reversed(self._payload_deadlines()):
+                first = deadline if deadline[0] <= first[0] else first
         if sending and self._loop is not None and self._loop.sent is not None:
             resend_us = self._loop.sent_us + microseconds(settings.sequence.resend_s)
-            first = (resend_us, self._resend) if resend_us <= first[0] else first
+            if resend_us <= first[0]:
+                first = resend_us, self._resend
         if self._retry is not None:
             first = min((retry_due(self._retry), self._run_release), first, key=_moment)
         if self._engagement is not None:
             first = min((engagement_due(self._engagement), self._run_engagement), first, key=_moment)
         if known.heartbeat is not None:
             lost_us = known.heartbeat_us + microseconds(settings.telemetry.heartbeat_timeout_s)
-            first = (lost_us, self._heartbeat_lost) if lost_us <= first[0] else first
+            if lost_us <= first[0]:
+                first = lost_us, self._heartbeat_lost
         return self._silence(first) if sending or self.state is State.READY else first
 
     def _silence(self, first: Deadline) -> Deadline:
         """The earlier one of a deadline and what is done when no telemetry comes."""
         settings, known = self.settings.telemetry, self._known
         attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us
-        if self._may_ask_again and attitude_us is not None and position_us is not None:
+        if self._may_ask_again() and attitude_us is not None and position_us is not None:
             quiet_us = min(attitude_us, position_us) + microseconds(QUIET_SHARE * settings.timeout_s)
             ask_us = max(quiet_us, self._asked_again_us)
-            first = (ask_us, self._ask_again) if ask_us <= first[0] else first
+            if ask_us <= first[0]:
+                first = ask_us, self._ask_again
         if position_us is not None:
             silent_us = position_us + microseconds(settings.position_timeout_s)
-            first = (silent_us, self._no_position) if silent_us <= first[0] else first
+            if silent_us <= first[0]:
+                first = silent_us, self._no_position
         if attitude_us is not None:
             silent_us = attitude_us + microseconds(settings.timeout_s)
-            first = (silent_us, self._no_attitude) if silent_us <= first[0] else first
+            if silent_us <= first[0]:
+                first = silent_us, self._no_attitude
         return first
 
     def _no_attitude(self, time_us: int) -> None:
@@ -192,7 +198,6 @@ class Service(ControlSession):
             return
         self._say_once(Severity.WARNING, telemetry.too_slow_text(wanted, self._known, time_us))
 
-    @property
     def _may_ask_again(self) -> bool:
         """For message rates in flight: a ground station behind the same router may have changed them."""
         controls = self.state in (State.ENGAGING, State.ENGAGED)
@@ -287,7 +292,7 @@ class Service(ControlSession):
         fault = sample.fault or jump
         if sample.accepted and fault is None:
             self._trust, fits, fault = trust.watch_position(
-                self.settings.telemetry, self.settings.limits, self._trust, time_us, event, self._flying
+                self.settings.telemetry, self.settings.limits, self._trust, time_us, event, self._flying()
             )
             if not fits:
                 self._known = trust.pass_over(before)
@@ -307,7 +312,7 @@ class Service(ControlSession):
         if not sample.accepted:
             return
         self._trust, fault = trust.watch_attitude(
-            self.settings.telemetry, self.settings.limits, self._trust, time_us, event, self._flying
+            self.settings.telemetry, self.settings.limits, self._trust, time_us, event, self._flying()
         )
         if fault is not None:
             self._fault(time_us, fault)
@@ -317,7 +322,7 @@ class Service(ControlSession):
             self._loop = begin_loop(self.settings, self._known, time_us)
         elif sample.dt > 0.0:
             self._control(time_us, sample.dt)
-        may = time_us >= self._asked_again_us and self._may_ask_again
+        may = time_us >= self._asked_again_us and self._may_ask_again()
         if may and telemetry.slowed_down(self.settings.telemetry, self._known, time_us):
             self._ask_again(time_us)
         if self.state is State.WAITING:
@@ -342,7 +347,6 @@ class Service(ControlSession):
             if outside is not None:
                 self._failsafe(time_us, outside)
 
-    @property
     def _flying(self) -> bool:
         """In our hands and in the air."""
         return self.state in SENDING and self._flight is not None and self._flight.phase is Phase.AIR

@@ -88,7 +88,7 @@ def rate_hz(stream: Stream, now_us: int) -> float:
 
 def _accept(stream: Stream, sample_us: int, arrival_us: int) -> Stream:
     first = bisect_right(stream.arrivals, arrival_us - _WINDOW_US)
-    return Stream(sample_us, arrival_us, (*stream.arrivals[first:], arrival_us), 0, stream.dropped)
+    return Stream(sample_us, arrival_us, stream.arrivals[first:] + (arrival_us,), 0, stream.dropped)  # noqa: RUF005 - a copy less
 
 
 def _sample(
@@ -108,6 +108,11 @@ def _sample(
     return _accept(stream, sample_us, arrival_us), Sample(True, dt)
 
 
+def _finite(values: tuple[float, ...]) -> bool:
+    """All of them; a sum that is finite says so at once."""
+    return isfinite(sum(values)) or all(map(isfinite, values))
+
+
 def _turn(angle: float) -> float:
     return (angle + pi) % (2.0 * pi) - pi
 
@@ -116,8 +121,11 @@ def _attitude_fault(
     limits: LimitSettings, last: AttitudeReceived, new: AttitudeReceived, dt: float
 ) -> str | None:
     (roll, pitch, yaw), (new_roll, new_pitch, new_yaw) = last.attitude, new.attitude
-    jump = max(abs(_turn(new_roll - roll)), abs(_turn(new_pitch - pitch)), abs(_turn(new_yaw - yaw)))
+    roll, pitch, yaw = new_roll - roll, new_pitch - pitch, new_yaw - yaw
     allowed = limits.attitude_jump_rad + limits.attitude_rate_max_rad_s * dt
+    if max(abs(roll), abs(pitch), abs(yaw)) <= allowed:
+        return None  # without a look at whole turns
+    jump = max(abs(_turn(roll)), abs(_turn(pitch)), abs(_turn(yaw)))
     if jump > allowed:
         return f"attitude jumped {jump:.2f} rad, {allowed:.2f} possible"
     return None
@@ -131,7 +139,7 @@ def receive_attitude(
     event: AttitudeReceived,
 ) -> tuple[Telemetry, Sample]:
     """Take in one attitude sample."""
-    if not all(map(isfinite, (*event.attitude, *event.body_rates))):
+    if not _finite(event.attitude + event.body_rates):
         return replace(known, invalid=known.invalid + 1), Sample(False, fault="attitude is not finite")
     stream, sample = _sample(
         settings, known.attitude_stream, event.sample_time_us, time_us, settings.timeout_s
@@ -153,7 +161,7 @@ def receive_position(
     event: PositionReceived,
 ) -> tuple[Telemetry, Sample]:
     """Take in one position sample."""
-    if not all(map(isfinite, (*event.position, *event.velocity))):
+    if not _finite(event.position + event.velocity):
         return replace(known, invalid=known.invalid + 1), Sample(False, fault="position is not finite")
     stream, sample = _sample(
         settings, known.position_stream, event.sample_time_us, time_us, settings.position_timeout_s
@@ -303,6 +311,12 @@ def _fewer(stream: Stream, count: float, since_us: int) -> bool:
     """Fewer than so many samples have come after `since_us`."""
     least, arrivals = ceil(count), stream.arrivals
     return least > 0 and (len(arrivals) < least or arrivals[-least] <= since_us)
+
+
+def slower(stream: Stream, samples: int, now_us: int) -> bool:
+    """Is `rate_hz` below so many (one at least)? Without counting."""
+    arrivals = stream.arrivals
+    return len(arrivals) < samples or arrivals[-samples] <= now_us - _WINDOW_US
 
 
 def too_slow_text(settings: TelemetrySettings, known: Telemetry, time_us: int) -> str:

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from math import nan
+
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.config import DaemonConfig
 from kffa_offboard.config_log import make_companion, recorded_keeper
 from kffa_offboard.control.plain import Vector
 from kffa_offboard.flightlog.signals import to_message
+from kffa_offboard.frame_codec import decode
 from kffa_offboard.mavlink.commands import is_timesync_request
 from kffa_offboard.mavlink.component import Component, Route
 from kffa_offboard.mavlink.session import ProcessRequest, Session
@@ -106,6 +110,12 @@ def replay_what_if(recording: Recording, flown: DaemonConfig, config: DaemonConf
     return replay(recording, config, applied)
 
 
+def _pass_over(session: Session, time_us: int, frame: bytes) -> None:
+    """That something came: what is left to be done on the vehicle then goes on."""
+    with suppress(mavlink.MAVError):  # the daemon did not understand it either
+        session.handle(time_us, decode(frame))
+
+
 @uncollected()
 def replay(recording: Recording, config: DaemonConfig, flown: Mapping[int, Vector] | None = None) -> Replayed:
     """Drive the session of `config` through everything that came in, at the times when it came.
@@ -128,7 +138,10 @@ def replay(recording: Recording, config: DaemonConfig, flown: Mapping[int, Vecto
     )
     session.advance(recording.begin_us)
     for time_us, item in recording.incoming:
-        if not is_message(item):
+        if isinstance(item, bytes):
+            if session.service.finished is not None:
+                _pass_over(session, time_us, item)
+        elif not is_message(item):
             (session.report if is_report(item) else session.request)(time_us, item)
         elif not lockstep:
             take_message(session, time_us, item)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -15,11 +16,13 @@ from kffa_offboard.flightlog.parts import following_parts
 from kffa_offboard.flightlog.signals import is_signal_frame
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.frame_codec import decode
+from kffa_offboard.mavlink.session import KINDS
 from kffa_offboard.offboard.events import ProcessReport
 from kffa_offboard.replay.uncollected import uncollected
 
 Incoming: TypeAlias = tuple[int, Any]
-"""Time [us] and a received message, or a request or report of the daemon's own process."""
+"""Time [us] and what came: a message, or, undecoded, the frame of one that no session looks into; or a
+request or report of the daemon's own process."""
 
 Frame: TypeAlias = tuple[int, bytes]
 """Time [us] and a frame."""
@@ -28,7 +31,17 @@ LONGEST_GAP_US = 86_400_000_000
 """Between two messages; a damaged time would have years of heartbeats replayed."""
 
 _MARKER_V2 = 0xFD
-_NOTHING_OURS = (mavlink.MAVLINK_MSG_ID_TUNNEL, mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY)
+_LOOKED_INTO = frozenset(
+    number.to_bytes(3, "little")
+    for number, kind in mavlink.mavlink_map.items()
+    if kind.msgname in KINDS or number == mavlink.MAVLINK_MSG_ID_TUNNEL
+)
+"""Types of messages, as in a frame, that a session or a reader of notes needs decoded."""
+_LOG_ONLY = tuple(
+    number.to_bytes(3, "little")
+    for number in (mavlink.MAVLINK_MSG_ID_TUNNEL, mavlink.MAVLINK_MSG_ID_DEBUG_FLOAT_ARRAY)
+)
+"""Types of messages, as in a frame, that notes and signals are made of; they have to be looked into."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +52,7 @@ class Recording:
     ----------
     path : the (first) file
     header, begin_us : how and when the run began
-    incoming : received messages and own requests, in order
+    incoming : received messages, own requests and reports, in order
     sent, signals : frames that went out, and frames of the controller's inner signals, in order
     end, end_us : how and when the run ended; None and the last record's time if the log breaks off
     lost : how many records are missing after `end_us`; what follows them cannot be replayed, and is left out
@@ -66,8 +79,7 @@ def read_recording(path: Path) -> Recording:
     for part in (path, *following_parts(path)):
         log = read_tlog(part)
         try:
-            for time_us, frame in log.frames():
-                reader.take(time_us, frame)
+            reader.take_all(log.frames())
         except ValueError as problem:
             raise UserError(f"flight log {part}: {problem}; it cannot be replayed") from problem
     return reader.recording()
@@ -80,7 +92,7 @@ class _Reader:
         self._path = path
         self._notes = NoteReader()
         self._header: Header | None = None
-        self._own = (0, 0)
+        self._own = b""  # system and component, as in a frame
         self._begin_us = 0
         self._last_us = 0
         self._end: End | None = None
@@ -89,22 +101,32 @@ class _Reader:
         self._sent: list[Frame] = []
         self._signals: list[Frame] = []
 
-    def take(self, time_us: int, frame: bytes) -> None:
-        if self._lost:
-            return
-        if self._header is not None and self._is_ours(frame) and not _may_be_ours_alone(frame):
-            self._sent.append((time_us, frame))
+    def take_all(self, records: Iterable[tuple[int, bytes]]) -> None:
+        for time_us, frame in records:
+            ours = frame[5:7] == self._own and frame[0] == _MARKER_V2
+            if self._lost:
+                continue
+            if ours and frame[7:10] not in _LOG_ONLY:
+                self._sent.append((time_us, frame))
+                self._last_us = time_us
+            elif ours and is_signal_frame(frame):
+                self._signals.append((time_us, frame))
+                self._last_us = time_us
+            else:
+                self._take(time_us, frame, ours)
+
+    def _take(self, time_us: int, frame: bytes, ours: bool) -> None:
+        """What is neither a frame that was sent nor signals."""
+        unread = frame[0] == _MARKER_V2 and frame[7:10] not in _LOOKED_INTO
+        if unread and not ours and self._header is not None:
             self._last_us = time_us
-            return
-        if self._header is not None and self._is_ours(frame) and is_signal_frame(frame):
-            self._signals.append((time_us, frame))
-            self._last_us = time_us
+            self._came(time_us, frame)
             return
         try:
             message = decode(frame)
         except mavlink.MAVError:
             return  # the daemon did not understand it either
-        if is_note(message) and (self._header is None or self._is_ours(frame)):
+        if (ours or self._header is None) and is_note(message):
             self._take_note(time_us, message)  # anybody may send something that looks like one
             return
         if self._header is None:
@@ -113,7 +135,7 @@ class _Reader:
                 "only logs of `kffa-offboard run` can be replayed (try `kffa-offboard shadow`)"
             )
         self._last_us = time_us
-        if self._is_ours(frame):
+        if ours:
             self._sent.append((time_us, frame))
         else:
             self._came(time_us, message)
@@ -125,9 +147,6 @@ class _Reader:
             raise ValueError(f"time goes from {before_us / 1e6:.6f} s to {time_us / 1e6:.6f} s")
         self._incoming.append((time_us, item))
 
-    def _is_ours(self, frame: bytes) -> bool:
-        return frame[0] == _MARKER_V2 and (frame[5], frame[6]) == self._own
-
     def _take_note(self, time_us: int, message: Any) -> None:
         note: Note | None = self._notes.take(message)
         match note:
@@ -136,7 +155,7 @@ class _Reader:
                     if note.part != 1:
                         raise ValueError(f"is part {note.part} of a flight; name its first file")
                     self._header, self._begin_us, self._last_us = note, time_us, time_us
-                    self._own = (message.get_srcSystem(), message.get_srcComponent())
+                    self._own = bytes((message.get_srcSystem(), message.get_srcComponent()))
             case Lost():
                 self._lost = note.records
             case End():
@@ -163,13 +182,8 @@ class _Reader:
         )
 
 
-def _may_be_ours_alone(frame: bytes) -> bool:
-    """True for the message types that notes and signals are made of; they have to be looked into."""
-    return int.from_bytes(frame[7:10], "little") in _NOTHING_OURS
-
-
 def is_message(item: Any) -> bool:
-    """True for a received message among the incoming items; the others are events."""
+    """True for a received message among the incoming items, decoded or not; the others are events."""
     return not isinstance(item, Struct)
 
 

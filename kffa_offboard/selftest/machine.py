@@ -89,7 +89,8 @@ def _steps(recording: Recording) -> list[float]:
             if not is_report(item):
                 session.request(time_us, item)
             continue
-        frame, before = bytes(item.get_msgbuf()), session.counters.commands_sent
+        frame = item if isinstance(item, bytes) else bytes(item.get_msgbuf())
+        before = session.counters.commands_sent
         began = time.perf_counter()
         for message in parser.parse(Datagram(time_us, frame, "vehicle")):
             session.handle(time_us, message)

@@ -6,7 +6,6 @@ import math
 
 import pytest
 from msgspec.structs import replace
-from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard import cli
 from kffa_offboard.config import bundled
@@ -14,6 +13,7 @@ from kffa_offboard.flightlog.notes import Header
 from kffa_offboard.flightlog.plot import PlotStream
 from kffa_offboard.flightlog.signals import BLOCKS, LIVE_ARRAY_ID, to_message
 from kffa_offboard.flightlog.writer import TlogWriter
+from kffa_offboard.frame_codec import pack
 from kffa_offboard.offboard.events import OwnHeartbeat, PayloadReport, Signals
 from kffa_offboard.trials.processes import free_port
 
@@ -124,9 +124,8 @@ def test_the_export_makes_its_directory_and_never_writes_over_the_log(tmp_path, 
 
 def test_of_a_ground_station_s_log_the_live_signals_are_exported(tmp_path):
     path = tmp_path / "ground.tlog"
-    daemon = mavlink.MAVLink(None, srcSystem=245, srcComponent=191)
     with TlogWriter(path) as log:
-        log.write(START_US + 5_000, bytes(to_message(STEP, LIVE_ARRAY_ID).pack(daemon)))
+        log.write(START_US + 5_000, pack(to_message(STEP, LIVE_ARRAY_ID), 245, 191, 0))
     assert exported(path) == 0
     (row,) = rows_of(tmp_path / "ground.csv")
     assert float(row["/altitude/estimate"]) == STEP.estimate[3]

@@ -20,7 +20,7 @@ from kffa_offboard.flightlog.signals import (
     table,
     to_message,
 )
-from kffa_offboard.frame_codec import decode
+from kffa_offboard.frame_codec import decode, pack
 from kffa_offboard.offboard.events import Signals
 from kffa_offboard.offboard.service import State
 
@@ -41,8 +41,7 @@ EXAMPLE = Signals(
 
 
 def over_the_wire(signals):
-    packed = bytes(to_message(signals).pack(mavlink.MAVLink(None, srcSystem=245, srcComponent=191)))
-    return mavlink.MAVLink(None).parse_buffer(packed)[0]
+    return mavlink.MAVLink(None).parse_buffer(pack(to_message(signals), 245, 191, 0))[0]
 
 
 @given(signals_values)
@@ -71,7 +70,7 @@ def test_a_latency_that_is_not_known_is_no_number_in_the_log():
 
 
 def test_signals_that_went_out_live_are_not_taken_for_the_logs_own():
-    assert not is_signals(to_message(EXAMPLE, LIVE_ARRAY_ID))
+    assert not is_signals(decode(pack(to_message(EXAMPLE, LIVE_ARRAY_ID), 245, 191, 0)))
 
 
 def test_a_value_beyond_float32_is_logged_as_infinite_instead_of_stopping_the_flight():
@@ -120,7 +119,7 @@ def test_a_log_without_signals_gives_empty_arrays():
 def test_a_frame_of_the_log_is_known_without_decoding_it_and_a_damaged_one_is_not(
     signals, at, bits, array_id
 ):
-    frame = bytearray(to_message(signals, array_id).pack(mavlink.MAVLink(None, 245, 191)))
+    frame = bytearray(pack(to_message(signals, array_id), 245, 191, 0))
     assert is_signal_frame(bytes(frame)) == is_signals(decode(bytes(frame))) == (array_id == 0)
     frame[at % len(frame)] ^= bits
     assert is_signal_frame(bytes(frame)) == (array_id == 0 and bits == 0)

@@ -20,7 +20,7 @@ from kffa_offboard.mavlink.parameter_file import ParameterFile
 from kffa_offboard.offboard.events import GiveUpRequested
 from kffa_offboard.replay.compare import compare, what_if
 from kffa_offboard.replay.engine import replay, replay_what_if
-from kffa_offboard.replay.recording import read_recording
+from kffa_offboard.replay.recording import is_message, read_recording
 from kffa_offboard.report.read import read_flight
 
 
@@ -63,9 +63,7 @@ def test_every_command_and_every_inner_signal_is_repeated_byte_for_byte(drop):
 
 def test_the_request_to_stop_is_in_the_log(drop):
     recording = read_recording(drop)
-    without = replace(
-        recording, incoming=[item for item in recording.incoming if hasattr(item[1], "get_type")]
-    )
+    without = replace(recording, incoming=[item for item in recording.incoming if is_message(item[1])])
     assert len(without.incoming) == len(recording.incoming) - 1
     difference = compare(recording, replay(without, config_of(recording.header, drop))).difference
     assert difference is not None
