@@ -52,7 +52,7 @@ class _Layout(NamedTuple):
 
     Attributes
     ----------
-    number : the lower 16 bits of the message id, and the others
+    number : message id, as in the frame
     payload : layout of the frame between head and checksum
     crc_extra : goes into the checksum behind the frame, one byte
     wire_values : of a message: its values in the order of the frame, an array as one
@@ -62,7 +62,7 @@ class _Layout(NamedTuple):
     front : layout without an array at its end
     """
 
-    number: tuple[int, int]
+    number: bytes
     payload: struct.Struct
     crc_extra: bytes
     wire_values: Callable[[Any], tuple[Any, ...]]
@@ -87,7 +87,7 @@ def _layout(kind: Any) -> _Layout:
     arrays = [place for place, size in enumerate(sizes) if size > 1]
     layout, last = kind.unpacker.format, sizes[-1]
     return _Layout(
-        (kind.id & 0xFFFF, kind.id >> 16),
+        kind.id.to_bytes(3, "little"),
         kind.unpacker,
         bytes((kind.crc_extra,)),
         _several(attrgetter, names),
@@ -131,7 +131,7 @@ def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
     values = message.values if kind is Outgoing else layout.wire_values(message)
     payload = layout.payload.pack(*values) if not layout.arrays else _payload(layout, values)
     payload = payload.rstrip(b"\0") or b"\0"  # zeros are not sent
-    covered = _HEAD.pack(len(payload), 0, 0, sequence, system, component, *layout.number) + payload
+    covered = bytes((len(payload), 0, 0, sequence, system, component)) + layout.number + payload
     return b"\xfd" + covered + _CHECKSUM.pack(mcrf4xx(covered + layout.crc_extra))
 
 
