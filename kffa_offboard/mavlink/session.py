@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Sequence
-from typing import Protocol, TypeAlias
+from typing import TypeAlias
 
 from kffa_offboard.mavlink import parameter_keeper
 from kffa_offboard.mavlink.autopilot import GuidedMode
@@ -20,18 +20,16 @@ from kffa_offboard.mavlink.parameter_file import ChangedParameter
 from kffa_offboard.mavlink.parameter_keeper import ParameterKeeper
 from kffa_offboard.mavlink.reception import Reception
 from kffa_offboard.mavlink.rivals import RivalWatch
+from kffa_offboard.mavlink.session_protocols import OffboardService, ProcessRequest, Recorder
 from kffa_offboard.mavlink.transmission import Transmission
 from kffa_offboard.mavlink.transport import Datagram, Link
 from kffa_offboard.mavlink.vehicle import Vehicle, decoded_kinds
 from kffa_offboard.offboard.events import (
     Announce,
     AttitudeTarget,
-    EngageRequested,
     Event,
     GiveUpRequested,
-    HangNoticed,
     HeartbeatReceived,
-    IntrusionNoticed,
     Output,
     ProcessReport,
     ReleaseRequested,
@@ -43,61 +41,12 @@ LOG = logging.getLogger(__name__)
 Observer: TypeAlias = Callable[[int, Event | Output | ProcessReport], None]
 """Is told every event before and every output after the service, with its time [us]; for status lines."""
 
-
-ProcessRequest: TypeAlias = (
-    EngageRequested | ReleaseRequested | IntrusionNoticed | GiveUpRequested | HangNoticed
-)
-"""What comes in no MAVLink message, but from the daemon's own process or its link."""
-
-
 _OTHER_KINDS = RivalWatch.MESSAGES | Companion.MESSAGES | frozenset(parameter_keeper.MESSAGES)
 """Messages that somebody else than the vehicle's adapter looks at."""
 
 KINDS = _OTHER_KINDS | decoded_kinds()
 """Messages that a session looks into, whatever firmware the vehicle has. Of others it only matters that
 something has come, once the service has finished."""
-
-
-class OffboardService(Protocol):
-    """What the shell needs of `offboard.service.Service`. Times are integer microseconds."""
-
-    @property
-    def finished(self) -> object | None:
-        """Why there is nothing left to do, or None."""
-
-    def handle(self, time_us: int, event: Event) -> Sequence[Output]:
-        """Take an event; deadlines up to `time_us` come first."""
-
-    def advance(self, time_us: int) -> Sequence[Output]:
-        """Do what is due up to `time_us`."""
-
-    def next_deadline(self) -> int | None:
-        """When something is due without any event; None if nothing is."""
-
-    def last_words(self) -> Sequence[Output]:
-        """What is to be sent by a process that ends in the middle of control."""
-
-
-class Recorder(Protocol):
-    """What the shell needs of a flight log."""
-
-    def write(self, time_us: int, frame: bytes) -> None:
-        """Record one MAVLink frame, received or sent."""
-
-    def write_signals(self, signals: Signals) -> None:
-        """Record the controller's inner signals."""
-
-    def write_begin(self, time_us: int) -> None:
-        """Record that the run begins, and with what."""
-
-    def write_request(self, time_us: int, request: ProcessRequest) -> None:
-        """Record what the daemon's own process asked for or noticed."""
-
-    def write_report(self, time_us: int, report: ProcessReport) -> None:
-        """Record what the daemon's own process reports."""
-
-    def write_end(self, time_us: int, reason: str, frames_dropped: int) -> None:
-        """Record that the run is over, and why."""
 
 
 class Session:

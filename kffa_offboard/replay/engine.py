@@ -16,7 +16,8 @@ from kffa_offboard.flightlog.signals import to_message
 from kffa_offboard.frame_codec import decode
 from kffa_offboard.mavlink.commands import is_timesync_request
 from kffa_offboard.mavlink.component import Component, Route
-from kffa_offboard.mavlink.session import ProcessRequest, Session
+from kffa_offboard.mavlink.session import Session
+from kffa_offboard.mavlink.session_protocols import ProcessRequest
 from kffa_offboard.mavlink.shell import pass_barrier, take_message
 from kffa_offboard.mavlink.transport import Datagram, Posting
 from kffa_offboard.offboard.events import ProcessReport, Signals

@@ -3,6 +3,8 @@
 from math import inf, isnan, nan
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 
 from kffa_offboard.offboard import telemetry
@@ -187,6 +189,18 @@ def test_rates_are_measured_over_the_last_second():
     assert telemetry.rate_hz(known.attitude_stream, 1_490_000) == 100.0
     assert telemetry.rate_hz(known.attitude_stream, 2_000_000) == 49.0
     assert len(known.attitude_stream.arrivals) == 100, "and no longer remembered"
+
+
+@given(
+    arrivals=st.lists(st.integers(0, 8), max_size=12).map(sorted),
+    now=st.integers(8, 16),
+    samples=st.integers(1, 14),
+)
+def test_whether_a_stream_is_slower_is_told_without_counting(arrivals, now, samples):
+    """Times in quarters of a second: a sample just one second ago is the boundary."""
+    stream = Stream(arrivals=tuple(250_000 * time for time in arrivals))
+    now_us = 250_000 * now
+    assert telemetry.slower(stream, samples, now_us) == (telemetry.rate_hz(stream, now_us) < samples)
 
 
 def test_an_old_report_of_the_autopilots_thrust_counts_no_more():

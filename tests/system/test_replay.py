@@ -15,9 +15,10 @@ from kffa_offboard.config_log import config_of
 from kffa_offboard.errors import UserError
 from kffa_offboard.flightlog.notes import Lost, to_messages
 from kffa_offboard.flightlog.tlog import TIMESTAMP, read_tlog
+from kffa_offboard.frame_codec import pack
 from kffa_offboard.loganalysis.read import read_log
 from kffa_offboard.mavlink.parameter_file import ParameterFile
-from kffa_offboard.offboard.events import GiveUpRequested
+from kffa_offboard.offboard.events import GiveUpRequested, ReleaseRequested
 from kffa_offboard.replay.compare import compare, what_if
 from kffa_offboard.replay.engine import replay, replay_what_if
 from kffa_offboard.replay.recording import is_message, read_recording
@@ -238,6 +239,22 @@ def test_parameters_that_were_set_and_put_back_are_in_the_replay(lock_step_fligh
     sent = [m for _, m in read_tlog(flight.log) if m.get_type() == "PARAM_SET"]
     assert [m.param_value for m in sent if m.param_id == "GUID_TIMEOUT"] == [0.5, 3.0]
     assert compare(recording, again).difference is None
+
+
+def test_any_message_after_the_end_has_parameters_put_back(lock_step_flight, tmp_path):
+    """One that no session looks into, too, and nobody reads in a replay otherwise."""
+    flight = with_parameters_to_fix(lock_step_flight("ardupilot"), tmp_path)
+    flight.log = tmp_path / "fixed.tlog"
+    flight.fly(lambda vehicle: vehicle.time_us > 2_000_000)
+    recording = read_recording(flight.log)
+    place = next(k for k, (_, item) in enumerate(recording.incoming) if isinstance(item, ReleaseRequested))
+    stopped_us = recording.incoming[place][0]
+    vibration = pack(mavlink.MAVLink_vibration_message(0, 0.0, 0.0, 0.0, 0, 0, 0), 1, 1, 0)
+    incoming = [*recording.incoming]
+    incoming.insert(place + 1, (stopped_us + 1, vibration))
+    sent = replay(replace(recording, incoming=incoming), config_of(recording.header, flight.log)).sent
+    number = mavlink.MAVLINK_MSG_ID_PARAM_SET.to_bytes(3, "little")
+    assert [t for t, frame in sent if frame[7:10] == number][-1] == stopped_us + 1
 
 
 def test_parameters_that_are_put_back_because_nobody_lets_go_are_in_the_replay(lock_step_flight, tmp_path):
