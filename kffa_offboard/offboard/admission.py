@@ -18,6 +18,7 @@ from math import ceil, hypot, isnan
 import numpy as np
 
 from kffa_offboard.control import vehicle
+from kffa_offboard.control.blocks import ControllerParameters
 from kffa_offboard.control.observer import ObserverParameters
 from kffa_offboard.offboard import telemetry
 from kffa_offboard.offboard.course import course_problem
@@ -129,21 +130,29 @@ def late(
 
     It is the round trip at least, of which half is an underestimate when commands alone come late.
     """
-    law, observer = settings.controller.law, settings.controller.observer
-    if law is None or observer is None or link is None or isnan(latency_s):
+    if link is None or isnan(latency_s):
         return None
     latency_s = max(latency_s, link.round_trip_s)
-    omega_c = float(np.max(law.omega_c))
-    omega_o = np.abs(observer.poles).max(axis=0)
-    told = settings.controller.actuator.delay + most.observer / omega_o
-    channel = int(np.argmin(told))
-    for name, bandwidth, limit in (
-        ("omega_c", omega_c, most.law / omega_c),
-        ("omega_o", float(omega_o[channel]), float(told[channel])),
-    ):
+    for name, bandwidth, limit in _borne(settings.controller, most):
         if latency_s > limit:
             return f"latency {1e3 * latency_s:.0f} ms; {name} = {bandwidth:g} bears {1e3 * limit:.0f}"
     return None
+
+
+@lru_cache(maxsize=16)
+def _borne(controller: ControllerParameters, most: Bearable) -> tuple[tuple[str, float, float], ...]:
+    """What bounds the latency: name of a bandwidth, what it is, rad/s, and the latency that it bears, s."""
+    law, observer = controller.law, controller.observer
+    if law is None or observer is None:
+        return ()
+    omega_c = float(np.max(law.omega_c))
+    omega_o = np.abs(observer.poles).max(axis=0)
+    told = controller.actuator.delay + most.observer / omega_o
+    channel = int(np.argmin(told))
+    return (
+        ("omega_c", omega_c, most.law / omega_c),
+        ("omega_o", float(omega_o[channel]), float(told[channel])),
+    )
 
 
 def unbearable(

@@ -74,11 +74,11 @@ class _Collector:
 
     def __init__(self, route: Route) -> None:
         self.replayed = Replayed()
-        self._own = (route.own_system, route.own_component)
+        self._own = bytes((route.own_system, route.own_component))
         self._signals = Component(route)
 
     def write(self, time_us: int, frame: bytes) -> None:
-        if (frame[5], frame[6]) == self._own:
+        if frame[5:7] == self._own:
             self.replayed.sent.append((time_us, frame))
 
     def write_signals(self, signals: Signals) -> None:
