@@ -124,7 +124,8 @@ class TlogReader:
         while end - at >= TIMESTAMP.size + _HEAD_SIZE:
             begins = at + TIMESTAMP.size
             marker, payload_size, flags = data[begins : begins + _HEAD_SIZE]
-            size = frame_size(marker, payload_size, flags)
+            ordinary = marker == _MARKER_V2 and flags == 0
+            size = _OVERHEAD_V2 + payload_size if ordinary else frame_size(marker, payload_size, flags)
             if size is None or begins + size > end:
                 break
             (time_us,) = TIMESTAMP.unpack_from(data, at)
