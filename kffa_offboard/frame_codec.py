@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable, Sequence
 from functools import cache
 from operator import attrgetter, itemgetter
-from typing import Any, NamedTuple
+from typing import Any
 
 from fastcrc.crc16 import mcrf4xx
 from msgspec import Struct
@@ -21,6 +21,7 @@ from pymavlink.dialects.v20.development import MAVLink_current_mode_message
 
 _MARKER = 0xFD
 _HEAD = struct.Struct("<BBBBBBHB")  # length, two flags, sequence, system, component, message id
+_FRONT = struct.Struct("<BBBBBBB3s")  # marker and the same, the id as bytes
 _PAYLOAD = 1 + _HEAD.size  # where it begins, behind marker and head
 _CHECKSUM = struct.Struct("<H")
 OVERHEAD = _PAYLOAD + _CHECKSUM.size
@@ -39,7 +40,7 @@ class Outgoing(Struct, frozen=True):
     Attributes
     ----------
     kind : pymavlink's class of it
-    values : in the order of the frame, an array as one value, a text as bytes. An array at the end may be its
+    values : in the order of the frame, an array's one by one, a text as bytes. An array at the end may be its
         bytes in the frame.
     """
 
@@ -47,29 +48,31 @@ class Outgoing(Struct, frozen=True):
     values: tuple[Any, ...]
 
 
-class _Layout(NamedTuple):
+class _Layout(Struct, frozen=True):
     """What is always the same about one type of message.
 
     Attributes
     ----------
     number : message id, as in the frame
-    payload : layout of the frame between head and checksum
+    payload : layout of the frame between head and checksum, and its bytes
     crc_extra : goes into the checksum behind the frame, one byte
     wire_values : of a message: its values in the order of the frame, an array as one
     arrays : places of the arrays among them, the last first
     fields : of the frame's numbers and texts: the message's fields, in its own order, an array as a tuple
     unfinished : places of arrays and texts among them
-    front : layout without an array at its end
+    front : layout without an array at its end, and the bytes of this array; 0 if there is none
     """
 
     number: bytes
     payload: struct.Struct
+    size: int
     crc_extra: bytes
     wire_values: Callable[[Any], tuple[Any, ...]]
     arrays: tuple[int, ...]
     fields: Callable[[tuple[Any, ...]], tuple[Any, ...]]
     unfinished: tuple[int, ...]
     front: struct.Struct
+    rear: int
 
 
 @cache
@@ -86,15 +89,18 @@ def _layout(kind: Any) -> _Layout:
         at += size
     arrays = [place for place, size in enumerate(sizes) if size > 1]
     layout, last = kind.unpacker.format, sizes[-1]
+    front = struct.Struct(layout.removesuffix(f"{last}{layout[-1]}") if last > 1 else layout)
     return _Layout(
         kind.id.to_bytes(3, "little"),
         kind.unpacker,
+        kind.unpacker.size,
         bytes((kind.crc_extra,)),
         _several(attrgetter, names),
         tuple(reversed(arrays)),
         _several(itemgetter, [places[order] for order in kind.orders]),
         tuple(place for place, order in enumerate(kind.orders) if sizes[order] > 1 or texts[order]),
-        struct.Struct(layout.removesuffix(f"{last}{layout[-1]}") if last > 1 else layout),
+        front,
+        kind.unpacker.size - front.size,
     )
 
 
@@ -111,28 +117,27 @@ def checksum(covered: bytes, crc_extra: bytes) -> bytes:
     return _CHECKSUM.pack(mcrf4xx(covered + crc_extra))
 
 
-def _payload(layout: _Layout, values: tuple[Any, ...]) -> bytes:
-    """With arrays. One at the end may be the bytes of the frame already."""
-    last = values[-1]
-    if isinstance(last, bytes) and 0 < len(last) == layout.payload.size - layout.front.size:
-        return layout.front.pack(*values[:-1]) + last
-    for place in layout.arrays:
-        values = (*values[:place], *values[place], *values[place + 1 :])
-    return layout.payload.pack(*values)
-
-
 def pack(message: Any, system: int, component: int, sequence: int) -> bytes:
     """A message, `Outgoing` or pymavlink's, of `system`/`component` as a frame: what its ``pack`` gives.
 
     Raises struct.error for a value that its field cannot hold.
     """
     kind: Any = type(message)
-    layout = _layout(message.kind if kind is Outgoing else kind)
-    values = message.values if kind is Outgoing else layout.wire_values(message)
-    payload = layout.payload.pack(*values) if not layout.arrays else _payload(layout, values)
+    if kind is Outgoing:
+        layout, values = _layout(message.kind), message.values
+    else:
+        layout = _layout(kind)
+        values = layout.wire_values(message)
+        for place in layout.arrays:
+            values = (*values[:place], *values[place], *values[place + 1 :])
+    if layout.rear and isinstance(values[-1], bytes) and len(values[-1]) == layout.rear:
+        payload = layout.front.pack(*values[:-1]) + values[-1]
+    else:
+        payload = layout.payload.pack(*values)
     payload = payload.rstrip(b"\0") or b"\0"  # zeros are not sent
-    covered = bytes((len(payload), 0, 0, sequence, system, component)) + layout.number + payload
-    return b"\xfd" + covered + _CHECKSUM.pack(mcrf4xx(covered + layout.crc_extra))
+    head = _FRONT.pack(_MARKER, len(payload), 0, 0, sequence, system, component, layout.number)
+    frame = head + payload
+    return frame + _CHECKSUM.pack(mcrf4xx(frame[1:] + layout.crc_extra))
 
 
 def is_whole(frame: bytes, kind: Any) -> bool:
@@ -155,11 +160,11 @@ def unpack(frame: bytes) -> Any | None:
     crc = mcrf4xx(frame[1:-2] + layout.crc_extra)
     if crc != frame[-2] | frame[-1] << 8:
         return None
-    payload = layout.payload
-    if length == payload.size:
-        fields = layout.fields(payload.unpack_from(frame, _PAYLOAD))
+    if length == layout.size:
+        values = layout.payload.unpack_from(frame, _PAYLOAD)
     else:
-        fields = layout.fields(payload.unpack(frame[_PAYLOAD:-2].ljust(payload.size, b"\0")[: payload.size]))
+        values = layout.payload.unpack(frame[_PAYLOAD:-2].ljust(layout.size, b"\0")[: layout.size])
+    fields = layout.fields(values)
     message = kind(*(_finished(fields, layout.unfinished) if layout.unfinished else fields))
     message._msgbuf = frame
     message._payload = frame[6:-2]  # so pymavlink has it
@@ -189,11 +194,11 @@ class Packer:
     """Packs the messages of one sender, each with the next sequence number (0..255, then 0 again)."""
 
     def __init__(self, system: int, component: int) -> None:
-        self._sender = system, component
+        self._system, self._component = system, component
         self._sequence = 0
 
     def pack(self, message: Any) -> bytes:
         """One MAVLink 2 frame; raises as `pack`."""
-        frame = pack(message, *self._sender, self._sequence)
+        frame = pack(message, self._system, self._component, self._sequence)
         self._sequence = (self._sequence + 1) % 256
         return frame

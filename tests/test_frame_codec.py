@@ -114,7 +114,7 @@ def test_a_message_without_pymavlink_s_object_is_the_same_frame():
     value = mavlink.MAVLink_named_value_float_message(6, b"value", 0.25)
     packed_data = struct.pack("<58f", *data)
     for message, values in (
-        (array, (5, 7, b"name", data)),
+        (array, (5, 7, b"name", *data)),
         (array, (5, 7, b"name", packed_data)),
         (value, (6, 0.25, b"value")),
     ):

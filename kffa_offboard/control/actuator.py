@@ -200,16 +200,26 @@ def _window_of_one(parameters: ActuatorParameters, dt: float) -> tuple[float, fl
     return delay, span, held, decay
 
 
+@lru_cache(maxsize=256)
+def _acting_of_one(
+    parameters: ActuatorParameters, ages: tuple[float, ...], dt: float
+) -> tuple[list[tuple[int, float]], int, tuple[float, ...]]:
+    """What acts in the `dt` s after these ages (`shares_of_one`), how many act no more, the others' ages."""
+    delay, span, _, _ = _window_of_one(parameters, dt)
+    later = aged(ages, dt)
+    over = count_over(parameters, later)
+    return shares_of_one(later, delay, span), over, kept(later, over)
+
+
 def step_one(parameters: ActuatorParameters, line: Line, dt: float) -> tuple[Line, float]:
-    """`step` for one channel of one vehicle: jitter makes ages new in each step."""
-    delay, span, held, decay = _window_of_one(parameters, dt)
-    ages = aged(line.ages, dt)
-    mean = 0.0
-    for place, share in shares_of_one(ages, delay, span):
-        mean += share * line.commands[place]
+    """`step` for one channel of one vehicle."""
+    _, _, held, decay = _window_of_one(parameters, dt)
+    acting, over, ages = _acting_of_one(parameters, line.ages, dt)
+    mean, commands = 0.0, line.commands
+    for place, share in acting:
+        mean += share * commands[place]
     transient = line.lagged - mean
-    over = count_over(parameters, ages)
-    return Line(kept(ages, over), line.commands[over:], mean + decay * transient), mean + held * transient
+    return Line(ages, commands[over:], mean + decay * transient), mean + held * transient
 
 
 def aged(ages: tuple[float, ...], dt: float) -> tuple[float, ...]:

@@ -108,7 +108,7 @@ def _patches(table: Array) -> tuple[Array]:
 
 def _interpolate(table: Array, place: Array) -> Array:
     """Bilinear interpolation at `place` ``(2, 4[, N])``: row and column, counted from the table's middle."""
-    place = np.minimum(np.maximum(place + SETS // 2, 0.0), SETS - 1.0)
+    place = np.minimum(np.maximum(place + 0.5 * (SETS - 1.0), 0.0), SETS - 1.0)
     cell = np.minimum(place.astype(np.intp), SETS - 2)
     down, along = place - cell
     row, across = cell

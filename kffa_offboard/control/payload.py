@@ -223,10 +223,10 @@ def step(
     """
     if isinstance(state.thrust, actuator.Line):
         line, thrust = actuator.step_one(parameters.actuator, state.thrust, dt)
-        state = replace(state, thrust=line)
         if isinf(state.suspected):
-            return _straight_step(parameters, state, (thrust, float(rate), float(tilt_factor)), fresh, dt)
-        state = _filter(parameters, state, thrust, rate, tilt_factor, fresh, dt)
+            seen = thrust, float(rate), float(tilt_factor)
+            return _straight_step(parameters, state, line, seen, fresh, dt)
+        state = _filter(parameters, replace(state, thrust=line), thrust, rate, tilt_factor, fresh, dt)
     else:
         queue, (acted,) = actuator.step(parameters.actuator, state.thrust, dt)
         state = _filter(parameters, state, acted, rate, tilt_factor, fresh, dt)
@@ -309,18 +309,19 @@ _numbers = attrgetter(*_NUMBERS)  # of a state, beside the commands under way
 def _straight_step(
     parameters: PayloadParameters,
     state: PayloadState,
+    line: actuator.Line,
     seen: tuple[float, float, float],
     fresh: bool,
     dt: float,
 ) -> tuple[PayloadState, PayloadEstimate]:
     """The step of one vehicle of whose load nothing is suspected, in plain floats.
 
-    `seen` are the thrust that acted, climb rate and tilt factor.
+    `line` are the commands under way after it, `seen` the thrust that acted, climb rate and tilt factor.
     """
     detection = parameters.detection
     given = (*_numbers(state), *seen, dt, exp(-dt / detection.memory))
     *numbers, mass, std, followed = _straight(parameters, fresh)(given)
-    after = PayloadState(state.thrust, *numbers)
+    after = PayloadState(line, *numbers)
     if max(after.rising, after.falling) > detection.alarm:
         return _decide(parameters, after, seen[1], dt)
     return replace(after, settled=followed), PayloadEstimate(mass, std, 0.0)

@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
-from msgspec import structs
+from msgspec import Struct, structs
 
 from kffa_offboard.control import Array, actuator, observer
 from kffa_offboard.control.blocks import (
@@ -62,7 +62,7 @@ REMEMBERED = 256
 _ANY_STEP = 0.01  # s; the function is the same for all
 
 
-class Found(NamedTuple):
+class Found(Struct, frozen=True):
     """Coefficients without the Kalman filter's, as `Law.function` takes them.
 
     Attributes
@@ -77,14 +77,14 @@ class Found(NamedTuple):
     windows: list[tuple[float, float]]
 
 
-class FoundGains(NamedTuple):
+class FoundGains(Struct, frozen=True):
     """The Kalman filter's gains as `Law.function` takes them, and its spreads after the step."""
 
     numbers: Vector
     spreads: tuple[Spread, ...]
 
 
-class Shares(NamedTuple):
+class Shares(Struct, frozen=True):
     """How commands under way act in a step.
 
     Attributes

@@ -6,6 +6,7 @@ expected step of the disturbance, steps that are very long. Either may be handed
 
 from __future__ import annotations
 
+from math import inf
 from typing import TypeAlias
 
 import numpy as np
@@ -45,7 +46,7 @@ def step(
     parameters: ControllerParameters, state: State, inputs: PlainInput, dt: float
 ) -> tuple[State, PlainOutput]:
     """One step, `dt` s after the last one; raises as `controllers.step`."""
-    if not 0.0 < dt < np.inf or not straight.is_straight(parameters, state, dt):
+    if not 0.0 < dt < inf or not straight.is_straight(parameters, state, dt):
         after, output = controllers.step(parameters, as_arrays(state), inputs.arrays(), dt)
         return after, plain_output(output)
     plain = state if isinstance(state, PlainState) else plain_state(state)

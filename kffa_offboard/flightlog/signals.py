@@ -52,11 +52,12 @@ _PLACE = _SATURATED + CHANNELS
 _SIZE = 58
 _LATENCY = _SIZE - 1
 _NAME = NAME.encode()
-_DATA = struct.Struct(f"<{_SIZE}f")
-_HEAD = struct.Struct(f"<QH10s{4 * _STATE}xf")  # time, array_id, name, and the state behind the blocks
 _NO_PLACE = (0.0, 0.0, 0.0)
-_SPARE = (0.0,) * (_LATENCY - _PLACE - len(_NO_PLACE))
-_blocks = attrgetter(*BLOCKS)
+_SPARE = _LATENCY - _PLACE - len(_NO_PLACE)
+_DATA = struct.Struct(f"<{_LATENCY - _SPARE}f{4 * _SPARE}xf")
+_HEAD = struct.Struct(f"<QH10s{4 * _STATE}xf")  # time, array_id, name, and the state behind the blocks
+_HEAD_SIZE = _HEAD.size
+_blocks, _chained = attrgetter(*BLOCKS), chain.from_iterable
 _SIZES = [CHANNELS] * len(BLOCKS)
 _STATE_NUMBERS = {name: number for number, name in enumerate(STATE_NAMES)}
 
@@ -108,7 +109,7 @@ def to_message(signals: Signals, array_id: int = ARRAY_ID) -> Outgoing:
         raise ValueError(f"signals.state {signals.state!r} is none of {', '.join(STATE_NAMES)}")
     place = _NO_PLACE if signals.position_reference is None else (1.0, *signals.position_reference)
     state = _STATE_NUMBERS[signals.state], signals.dt, *signals.saturated
-    numbers = (*chain.from_iterable(blocks), *state, *place, *_SPARE, signals.latency_s)
+    numbers = (*_chained(blocks), *state, *place, signals.latency_s)
     try:
         data = _DATA.pack(*numbers)
     except OverflowError:
@@ -131,7 +132,7 @@ def is_signal_frame(frame: bytes) -> bool:
     """`is_signals` for a frame, without decoding it; False for a frame that is damaged or signed."""
     if not is_whole(frame, mavlink.MAVLink_debug_float_array_message):
         return False
-    time_us, array_id, name, state = _HEAD.unpack(frame[10:-2].ljust(_HEAD.size, b"\0")[: _HEAD.size])
+    time_us, array_id, name, state = _HEAD.unpack(frame[10:-2].ljust(_HEAD_SIZE, b"\0")[:_HEAD_SIZE])
     of_log = array_id == ARRAY_ID and name.rstrip(b"\0") == _NAME
     return bool(of_log and 0.0 <= state < len(STATE_NAMES) and time_us < LATEST_US)
 

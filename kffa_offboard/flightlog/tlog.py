@@ -18,6 +18,7 @@ from kffa_offboard.flightlog.signals import LATEST_US, SignalTable, is_signals, 
 from kffa_offboard.frame_codec import decode
 
 TIMESTAMP = struct.Struct(">Q")
+_STAMP_SIZE = TIMESTAMP.size
 GZIP_MAGIC = b"\x1f\x8b"
 
 _Source: TypeAlias = io.BufferedReader | gzip.GzipFile
@@ -25,6 +26,7 @@ _Source: TypeAlias = io.BufferedReader | gzip.GzipFile
 _MARKER_V1 = 0xFE
 _MARKER_V2 = 0xFD
 _HEAD_SIZE = 3  # marker, payload length, incompatibility flags: enough to know the frame's length
+_RECORD = struct.Struct(">QBBB")  # how one begins
 _OVERHEAD_V1 = 8
 _OVERHEAD_V2 = 12
 _SIGNATURE_SIZE = 13
@@ -110,7 +112,7 @@ class TlogReader:
             data, position = data[at:] + more, position + at
             records, at = self._whole_records(data)
             yield from records
-            head = data[at + TIMESTAMP.size : at + TIMESTAMP.size + _HEAD_SIZE]
+            head = data[at + _STAMP_SIZE : at + _STAMP_SIZE + _HEAD_SIZE]
             if len(head) == _HEAD_SIZE and frame_size(*head) is None:
                 self._end_or_damage(file, data[at:], position + at)
                 return
@@ -121,14 +123,14 @@ class TlogReader:
     def _whole_records(self, data: bytes) -> tuple[list[tuple[int, bytes]], int]:
         """The records that the data begins with, and where the first one begins that is not whole."""
         found, at, end = [], 0, len(data)
-        while end - at >= TIMESTAMP.size + _HEAD_SIZE:
-            begins = at + TIMESTAMP.size
-            marker, payload_size, flags = data[begins : begins + _HEAD_SIZE]
+        beginning, begun = _RECORD.size, _RECORD.unpack_from
+        while end - at >= beginning:
+            time_us, marker, payload_size, flags = begun(data, at)
             ordinary = marker == _MARKER_V2 and flags == 0
             size = _OVERHEAD_V2 + payload_size if ordinary else frame_size(marker, payload_size, flags)
+            begins = at + _STAMP_SIZE
             if size is None or begins + size > end:
                 break
-            (time_us,) = TIMESTAMP.unpack_from(data, at)
             at = begins + size
             if time_us < LATEST_US:
                 found.append((time_us, data[begins:at]))

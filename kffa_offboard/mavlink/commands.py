@@ -11,6 +11,7 @@ import math
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from kffa_offboard.frame_codec import Outgoing
 from kffa_offboard.mavlink import frames
 from kffa_offboard.mavlink.component import Message, Route
 from kffa_offboard.offboard.events import (
@@ -74,15 +75,9 @@ def attitude_target(route: Route, target: AttitudeTarget, time_us: int) -> Messa
         body_rates = _checked_body_rates(target.body_rates)
     if target.attitude is not None:
         mask, quaternion = ATTITUDE_AND_THRUST, _checked_quaternion(target.attitude)
-    return mavlink.MAVLink_set_attitude_target_message(
-        time_us // 1000 % 2**32,
-        route.target_system,
-        route.target_component,
-        mask,
-        quaternion,
-        *body_rates,
-        target.thrust,
-    )
+    vehicle = route.target_system, route.target_component
+    values = (time_us // 1000 % 2**32, *quaternion, *body_rates, target.thrust, *vehicle, mask)
+    return Outgoing(mavlink.MAVLink_set_attitude_target_message, values)
 
 
 def _checked_body_rates(body_rates: Vector3) -> Vector3:

@@ -30,7 +30,8 @@ class Route:
     def from_target(self, message: Message) -> bool:
         """True if the vehicle's autopilot itself sent `message`."""
         header = message.get_header()
-        return bool(header.srcSystem == self.target_system and header.srcComponent == self.target_component)
+        same: bool = header.srcSystem == self.target_system and header.srcComponent == self.target_component
+        return same
 
     def addresses_us(self, system: int, component: int) -> bool:
         """True if an answer to `system`/`component` is ours; 0 is everybody (or an older MAVLink)."""

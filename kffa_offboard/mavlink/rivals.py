@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import ClassVar
 
 from kffa_offboard.mavlink.component import Message, Route
@@ -41,9 +42,9 @@ class RivalWatch:
         self._identity: tuple[int, int] | None = None
         self._sent: deque[bytes] = deque(maxlen=SENT_KEPT)
 
-    def note_sent(self, frame: bytes) -> None:
-        """Remember a frame of ours."""
-        self._sent.append(frame)
+    def note_sent(self, frames: Iterable[bytes]) -> None:
+        """Remember frames of ours."""
+        self._sent.extend(frames)
 
     def is_impostor(self, message: Message) -> bool:
         """True for a message under our own ids that is no echo of what we sent."""

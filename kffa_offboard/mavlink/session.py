@@ -41,7 +41,8 @@ LOG = logging.getLogger(__name__)
 Observer: TypeAlias = Callable[[int, Event | Output | ProcessReport], None]
 """Is told every event before and every output after the service, with its time [us]; for status lines."""
 
-_OTHER_KINDS = RivalWatch.MESSAGES | Companion.MESSAGES | frozenset(parameter_keeper.MESSAGES)
+_WATCHED, _ANSWERED = RivalWatch.MESSAGES, Companion.MESSAGES
+_OTHER_KINDS = _WATCHED | _ANSWERED | frozenset(parameter_keeper.MESSAGES)
 """Messages that somebody else than the vehicle's adapter looks at."""
 
 KINDS = _OTHER_KINDS | decoded_kinds()
@@ -137,13 +138,13 @@ class Session:
         if kind not in self._vehicle.kinds and kind not in _OTHER_KINDS and self.service.finished is None:
             self.counters.telemetry_received += from_target
             return False  # it says nothing to anybody here
-        noticed = self._rivals.watch(time_us, message) if kind in RivalWatch.MESSAGES else None
+        noticed = self._rivals.watch(time_us, message) if kind in _WATCHED else None
         if noticed is not None:
             self.tell(time_us, noticed)
         if from_target:
             self.counters.telemetry_received += 1
             self._handle_target(time_us, kind, message)
-        if kind in Companion.MESSAGES:
+        if kind in _ANSWERED:
             for event in self._companion.receive(time_us, message):
                 self.tell(time_us, event)
             if kind != "TIMESYNC":  # to which there is no reply
@@ -155,7 +156,7 @@ class Session:
 
     def _handle_target(self, time_us: int, kind: str, message: Message) -> None:
         """What a message of the vehicle says to the service, and to the parameter keeper."""
-        for event in self._vehicle.decode(message):
+        for event in self._vehicle.decode_own(message):
             if isinstance(event, HeartbeatReceived):
                 self._handle_heartbeat(time_us, event)
             else:
@@ -187,7 +188,8 @@ class Session:
 
     def tell(self, time_us: int, event: Event) -> None:
         """Do what is due before `time_us`, then hand an event to the service and send what it answers."""
-        if time_us != self._time_us or not self._due_known or self._is_due(time_us):
+        due_us = self._due_us
+        if time_us != self._time_us or not self._due_known or (due_us is not None and due_us <= time_us):
             self.advance(time_us)
         self._due_known = False
         self._dispatch(time_us, self.service.handle(time_us, event), event)
@@ -222,9 +224,6 @@ class Session:
         """Parameters or companion learn something: what is due of them may be another."""
         self._due_known = self._others_known = False
 
-    def _is_due(self, time_us: int) -> bool:
-        return self._due_us is not None and self._due_us <= time_us
-
     def next_deadline(self) -> int | None:
         """When `advance` must be called next, us; None if nothing is due without an event."""
         if not self._due_known:
@@ -239,8 +238,7 @@ class Session:
             self._others_known = True
         if self.service.finished is not None:
             return self._others_us
-        first = self.service.next_deadline()
-        return first if self._others_us is None else _earlier(first, self._others_us)
+        return _earlier(self.service.next_deadline(), self._others_us)
 
     @property
     def done(self) -> bool:
@@ -373,4 +371,4 @@ class Session:
 
 def _earlier(one: int | None, other: int | None) -> int | None:
     """Of two deadlines; None is none."""
-    return other if one is None or (other is not None and other < one) else one
+    return one if other is None or (one is not None and one <= other) else other

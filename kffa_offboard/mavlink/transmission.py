@@ -52,8 +52,7 @@ class Transmission:
             self._send(time_us, group)
 
     def _send(self, time_us: int, frames: list[bytes]) -> bool:
-        for frame in frames:
-            self._rivals.note_sent(frame)
+        self._rivals.note_sent(frames)
         if not self._link.send(b"".join(frames)):
             self.counters.frames_dropped += len(frames)
             return False

@@ -78,8 +78,10 @@ class Vehicle:
 
         Raises UserError if the target is not a multirotor with PX4 or ArduPilot.
         """
-        if not self._route.from_target(message):
-            return []
+        return self.decode_own(message) if self._route.from_target(message) else []
+
+    def decode_own(self, message: Message) -> list[Event]:
+        """The same of a message that is the vehicle's own."""
         if message.msgname == "HEARTBEAT" and not self._is_ours(message):
             return []
         return [] if self._autopilot is None else self._autopilot.decode(message)

@@ -10,16 +10,18 @@ from collections.abc import Mapping
 from kffa_offboard.control.plain import Vector
 from kffa_offboard.offboard import echo, telemetry
 from kffa_offboard.offboard.events import Severity, TargetReported
-from kffa_offboard.offboard.flight import Directive, FlightSample, Phase, begin_flight, step_flight
+from kffa_offboard.offboard.flight import AIR, Directive, FlightSample, begin_flight, step_flight
 from kffa_offboard.offboard.loop import LoopStep, Order, signals, step_loop, write_out
 from kffa_offboard.offboard.request_session import RequestSession
 from kffa_offboard.offboard.sequence import EngagePhase, microseconds, mode_granted
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.state import SENDING, State
+from kffa_offboard.offboard.state import ENGAGED, ENGAGING, RELEASING, SENDING
 
 
 class ControlSession(RequestSession):
     """The part of the service that makes control steps; use `service.Service`."""
+
+    __slots__ = ()
 
     def __init__(self, settings: ServiceSettings) -> None:
         super().__init__(settings)
@@ -44,12 +46,12 @@ class ControlSession(RequestSession):
         if order.sending:
             for action in order.directive.gripper:
                 self._work_gripper(time_us, action, dt)
-        if self.state is State.ENGAGED and order.directive.ending is not None:
+        if self.state is ENGAGED and order.directive.ending is not None:
             self._end_flight(time_us, order.directive.ending, order.directive.reason)
 
     def _watch_echo(self, time_us: int, reported: TargetReported) -> None:
         """Somebody else's setpoints that we do not see may show in what the autopilot says it follows."""
-        flies = self.state is State.ENGAGED and self._flight is not None and self._flight.phase is Phase.AIR
+        flies = self.state is ENGAGED and self._flight is not None and self._flight.phase is AIR
         if not flies or reported.thrust is None:
             self._echo = echo.forget_reports(self._echo)
             return
@@ -71,13 +73,13 @@ class ControlSession(RequestSession):
         if self.state not in SENDING:
             return Order(self._level_here(), self.state._value_)
         assert self._flight is not None
-        if self.state is State.ENGAGING:
+        if self.state is ENGAGING:
             return self._order_engaging(time_us)
-        grounded = self.state is State.RELEASING and self._flight.phase is not Phase.AIR
+        grounded = self.state is RELEASING and self._flight.phase is not AIR
         if grounded:
             directive = self._idle()
         else:
-            segments = self.settings.scenario if self.state is State.ENGAGED else ()
+            segments = self.settings.scenario if self.state is ENGAGED else ()
             self._follow_setpoints(time_us)
             self._flight, directive = step_flight(
                 self.settings, segments, self._flight, self._flight_sample(time_us)

@@ -16,6 +16,8 @@ from kffa_offboard.offboard.state import IDLE, REFUSED, Finished, State
 class EngageSession(Session):
     """The part of the service that takes control; use `service.Service`."""
 
+    __slots__ = ()
+
     def _refusal(self, time_us: int) -> str | None:
         """Why control cannot be taken now."""
         if self.finished is not None:

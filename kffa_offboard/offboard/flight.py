@@ -36,6 +36,10 @@ class Phase(Enum):
     TOUCHDOWN = "touchdown"  # thrust goes to zero
 
 
+GROUND, RAMP, AIR, TOUCHDOWN = Phase
+"""The same, see `state.WAITING`."""
+
+
 class Ending(Enum):
     """How a flight ends."""
 
@@ -116,7 +120,7 @@ def begin_flight(time_us: int, airborne: bool, altitude: float, yaw: float) -> F
     """A flight that begins here: on the ground at `altitude`, or in the air (ground level then is 0)."""
     ground = 0.0 if airborne else altitude
     scenario = ScenarioState(hold_altitude=altitude, yaw=yaw, ground=ground)
-    return FlightState(scenario, time_us, Phase.AIR if airborne else Phase.GROUND, time_us)
+    return FlightState(scenario, time_us, AIR if airborne else GROUND, time_us)
 
 
 def start_scenario(state: FlightState, time_us: int) -> FlightState:
@@ -131,7 +135,7 @@ def hold_here(state: FlightState, altitude: float, offset: Offset) -> FlightStat
 
 def abandon_takeoff(state: FlightState, time_us: int, thrust: float, outcome: Finished) -> FlightState:
     """Take thrust back from `thrust` to zero; the flight then ends on the ground, with `outcome`."""
-    return replace(state, phase=Phase.TOUCHDOWN, phase_us=time_us, touchdown_thrust=thrust, outcome=outcome)
+    return replace(state, phase=TOUCHDOWN, phase_us=time_us, touchdown_thrust=thrust, outcome=outcome)
 
 
 def stands(state: FlightState, on_ground: bool | None) -> bool:
@@ -140,22 +144,19 @@ def stands(state: FlightState, on_ground: bool | None) -> bool:
     `on_ground` is the autopilot's landed state.
     """
     touched_down = state.slow_since_us is not None and state.seen_in_air and on_ground is True
-    return state.phase is not Phase.AIR or touched_down
+    return state.phase is not AIR or touched_down
 
 
 def step_flight(
     settings: ServiceSettings, segments: tuple[Segment, ...], state: FlightState, sample: FlightSample
 ) -> tuple[FlightState, Directive]:
     """One step; `segments` is the scenario, or empty to hold."""
-    match state.phase:
-        case Phase.GROUND:
-            return _step_ground(settings, segments, state, sample)
-        case Phase.RAMP:
-            return _step_ramp(settings, segments, state, sample)
-        case Phase.AIR:
-            return _step_air(settings, segments, state, sample)
-        case Phase.TOUCHDOWN:
-            return _step_touchdown(settings, state, sample)
+    if state.phase is AIR:
+        return _step_air(settings, segments, state, sample)
+    if state.phase is TOUCHDOWN:
+        return _step_touchdown(settings, state, sample)
+    step = _step_ground if state.phase is GROUND else _step_ramp
+    return step(settings, segments, state, sample)
 
 
 def _level(state: FlightState) -> Reference:
@@ -182,7 +183,7 @@ def _step_ground(
     if powered and isinstance(current_segment(segments, scenario), Takeoff):
         # Ground level is taken at the last moment: estimates drift while standing.
         scenario = replace(scenario, ground=sample.altitude, hold_altitude=sample.altitude)
-        state = replace(state, scenario=scenario, phase=Phase.RAMP, phase_us=sample.time_us)
+        state = replace(state, scenario=scenario, phase=RAMP, phase_us=sample.time_us)
     ending = Ending.LANDED if wanted.done else None
     return state, Directive(_level(state), 0.0, align=True, gripper=wanted.gripper, ending=ending)
 
@@ -204,7 +205,7 @@ def _step_ramp(
         start = sample.altitude + settings.reference_lag_s * climb_rate
         now_s = _seconds(state, sample.time_us)
         scenario = begin_takeoff(flight, segment, scenario, now_s, start, climb_rate)
-        state = replace(state, scenario=scenario, phase=Phase.AIR, phase_us=sample.time_us)
+        state = replace(state, scenario=scenario, phase=AIR, phase_us=sample.time_us)
         return state, Directive(_level(state), align=True)
     if elapsed > flight.liftoff_timeout_s:
         outcome = Finished(False, f"no lift-off at thrust {thrust:.2f}")
@@ -225,7 +226,7 @@ def _step_air(
         return state, Directive(wanted.reference, ending=Ending.FAULT, reason=wanted.fault)
     if isinstance(current_segment(segments, scenario), Land):
         state = _watch_touchdown(settings, state, sample)
-        if state.phase is Phase.TOUCHDOWN:
+        if state.phase is TOUCHDOWN:
             return state, Directive(wanted.reference, state.touchdown_thrust, align=True)
     ending = Ending.IN_AIR if wanted.done else None
     directive = Directive(wanted.reference, gripper=wanted.gripper, ending=ending, offset=scenario.offset)
@@ -247,7 +248,7 @@ def _watch_touchdown(settings: ServiceSettings, state: FlightState, sample: Flig
     since = state.slow_since_us if state.slow_since_us is not None else sample.time_us
     if sample.time_us - since < round(flight.touchdown_time_s * 1e6):
         return replace(state, slow_since_us=since)
-    return replace(state, phase=Phase.TOUCHDOWN, phase_us=sample.time_us, touchdown_thrust=sample.thrust)
+    return replace(state, phase=TOUCHDOWN, phase_us=sample.time_us, touchdown_thrust=sample.thrust)
 
 
 def _step_touchdown(

@@ -62,10 +62,11 @@ def check_wish(
     bounded = _clip(altitude, limits.altitude_min_m, limits.altitude_max_m)
     if bounded < altitude:
         changed = f"set point held at {bounded:g} m of height"
-    reach = limits.fence_radius_m - limits.fence_margin_m
-    if place is not None and hypot(*place) > reach:
-        away = hypot(*place)
-        place, changed = (place[0] * reach / away, place[1] * reach / away), "set point held at the fence"
+    if place is not None:
+        away, reach = hypot(*place), limits.fence_radius_m - limits.fence_margin_m
+        if away > reach:
+            place = place[0] * reach / away, place[1] * reach / away
+            changed = "set point held at the fence"
     return Wish(roll, pitch, bounded, place), changed
 
 
@@ -88,7 +89,8 @@ def tilt_factor(limits: LimitSettings, attitude: Vector3) -> float:
 
     Vertical thrust is collective thrust times this factor (eq 14-15).
     """
-    return max(cos(attitude[0]) * cos(attitude[1]), cos(limits.tilt_compensation_max_rad))
+    factor, least = cos(attitude[0]) * cos(attitude[1]), cos(limits.tilt_compensation_max_rad)
+    return least if least > factor else factor
 
 
 def check_target(
@@ -114,7 +116,7 @@ def check_target(
         return Checked(None, fault="setpoint is not a finite number")
     if (target.body_rates is None) == (target.attitude is None):
         return Checked(None, fault="setpoint needs either body rates or attitude")
-    dt = max(dt, 0.0)
+    dt = dt if dt > 0.0 else 0.0
     thrust = _check_thrust(limits, target.thrust, previous, dt, airborne)
     if target.body_rates is not None:
         last_rates = previous.body_rates if previous is not None else None

@@ -316,7 +316,8 @@ def _send(
     assert known.attitude is not None
     output, own, time_us, near = trace.output, trace.applied, trace.time_us, trace.output.estimate
     loop, wanted, target = _wish(settings, loop, known, order, time_us, output.command, own[3], near)
-    since = max(trace.dt, (time_us - loop.sent_us) * 1e-6)
+    silent = (time_us - loop.sent_us) * 1e-6
+    since = silent if silent > trace.dt else trace.dt
     checked = check_target(settings.limits, target, loop.sent, known.attitude.attitude, since, order.airborne)
     if checked.target is None:
         return loop, LoopStep(None, replace(trace, command=wanted, applied=wanted), checked.fault)

@@ -289,7 +289,9 @@ def _watch_limit(settings: PayloadSettings, state: Awareness, load: Load) -> _To
     if not state.heavy and min(load.mass, state.told) - 2.0 * load.std > limit:
         text = f"load of {load.mass:.1f} kg is above the limit of {limit:.1f} kg"
         return replace(state, heavy=True), (Announce(Severity.WARNING, text),)
-    return replace(state, heavy=state.heavy and load.mass > limit), ()
+    if state.heavy and load.mass <= limit:
+        state = replace(state, heavy=False)
+    return state, ()
 
 
 def _report(settings: PayloadSettings, state: Awareness, load: Load, time_us: int) -> _Told:

@@ -32,7 +32,7 @@ from kffa_offboard.offboard.release import ReleasePlan, altitude_disturbance, pl
 from kffa_offboard.offboard.segments import Land
 from kffa_offboard.offboard.sequence import microseconds
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.state import SENDING, State
+from kffa_offboard.offboard.state import ENGAGED, SENDING, State
 from kffa_offboard.offboard.tuning import adopt
 
 GripperAction = Literal["grab", "release"]
@@ -51,6 +51,8 @@ class Release(Struct, frozen=True):
 
 class PayloadSession(EngageSession):
     """Gripper and payload awareness; use `service.Service`."""
+
+    __slots__ = ()
 
     def __init__(self, settings: ServiceSettings) -> None:
         super().__init__(settings)
@@ -215,7 +217,7 @@ class PayloadSession(EngageSession):
         if (
             self._flight is None
             or self._loop is None
-            or self.state is not State.ENGAGED
+            or self.state is not ENGAGED
             or self._release_plan is not None
         ):
             return False

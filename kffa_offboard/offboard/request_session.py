@@ -26,6 +26,8 @@ MOST_REASONS = 20
 class RequestSession(PayloadSession):
     """The part of the service that answers requests; use `service.Service`."""
 
+    __slots__ = ()
+
     def _on_request(self, time_us: int, event: Event) -> None:
         match event:
             case events.GripperRequested():

@@ -30,7 +30,7 @@ from kffa_offboard.offboard import admission, echo, events, telemetry, trust
 from kffa_offboard.offboard.control_session import ControlSession
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.farewell import fly_blind
-from kffa_offboard.offboard.flight import Phase
+from kffa_offboard.offboard.flight import AIR
 from kffa_offboard.offboard.horizontal import astray, position_jump
 from kffa_offboard.offboard.loop import begin_loop
 from kffa_offboard.offboard.sequence import (
@@ -42,7 +42,7 @@ from kffa_offboard.offboard.sequence import (
     retry_due,
 )
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.state import IDLE, SENDING, Finished, State
+from kffa_offboard.offboard.state import CONTROLLING, ENGAGED, IDLE, READY, SENDING, WAITING, Finished, State
 
 __all__ = ["Finished", "Service", "State"]
 
@@ -62,6 +62,8 @@ class Service(ControlSession):
     `flown` has the commands that really acted, by the times of the control steps, for a recorded flight with
     other settings than it was flown with (see `loop.step_loop`).
     """
+
+    __slots__ = ()
 
     def __init__(self, settings: ServiceSettings, *, flown: Mapping[int, Vector] | None = None) -> None:
         super().__init__(settings)
@@ -148,17 +150,17 @@ class Service(ControlSession):
             lost_us = known.heartbeat_us + microseconds(settings.telemetry.heartbeat_timeout_s)
             if lost_us <= first[0]:
                 first = lost_us, self._heartbeat_lost
-        return self._silence(first) if sending or self.state is State.READY else first
+        return self._silence(first) if sending or self.state is READY else first
 
     def _silence(self, first: Deadline) -> Deadline:
         """The earlier one of a deadline and what is done when no telemetry comes."""
         settings, known = self.settings.telemetry, self._known
         attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us
         if self._may_ask_again() and attitude_us is not None and position_us is not None:
-            quiet_us = min(attitude_us, position_us) + microseconds(QUIET_SHARE * settings.timeout_s)
-            ask_us = max(quiet_us, self._asked_again_us)
-            if ask_us <= first[0]:
-                first = ask_us, self._ask_again
+            older_us = attitude_us if attitude_us < position_us else position_us
+            quiet_us = older_us + microseconds(QUIET_SHARE * settings.timeout_s)
+            if quiet_us <= first[0] and self._asked_again_us <= first[0]:
+                first = max(quiet_us, self._asked_again_us), self._ask_again
         if position_us is not None:
             silent_us = position_us + microseconds(settings.position_timeout_s)
             if silent_us <= first[0]:
@@ -200,8 +202,7 @@ class Service(ControlSession):
 
     def _may_ask_again(self) -> bool:
         """For message rates in flight: a ground station behind the same router may have changed them."""
-        controls = self.state in (State.ENGAGING, State.ENGAGED)
-        return controls and self._asked_again < self.settings.telemetry.request_limit
+        return self.state in CONTROLLING and self._asked_again < self.settings.telemetry.request_limit
 
     def _ask_again(self, time_us: int) -> None:
         """Telemetry becomes slow in flight: it would end control within a second."""
@@ -325,9 +326,9 @@ class Service(ControlSession):
         may = time_us >= self._asked_again_us and self._may_ask_again()
         if may and telemetry.slowed_down(self.settings.telemetry, self._known, time_us):
             self._ask_again(time_us)
-        if self.state is State.WAITING:
+        if self.state is WAITING:
             self._try_ready(time_us)
-        if self.state is State.READY and self._auto_engage and self._grounded(time_us) is not None:
+        if self.state is READY and self._auto_engage and self._grounded(time_us) is not None:
             self._auto_engage = False
             self._engage(time_us)
 
@@ -340,7 +341,7 @@ class Service(ControlSession):
             ground = self._flight.scenario.ground
             outside = telemetry.outside_limits(self.settings.limits, self._known, ground)
             outside = outside or admission.outside_fence(self.settings.limits, self._known, self._centre)
-            if outside is None and self.state is State.ENGAGED:
+            if outside is None and self.state is ENGAGED:
                 outside = admission.slow(self.settings, self._known, time_us)
             if outside is None and self._loop is not None:
                 outside = astray(self.settings.position, self._loop.horizontal)
@@ -349,7 +350,7 @@ class Service(ControlSession):
 
     def _flying(self) -> bool:
         """In our hands and in the air."""
-        return self.state in SENDING and self._flight is not None and self._flight.phase is Phase.AIR
+        return self.state in SENDING and self._flight is not None and self._flight.phase is AIR
 
     def _try_ready(self, time_us: int) -> None:
         if (
@@ -395,6 +396,4 @@ class Service(ControlSession):
 
 
 def _answers(action: str, request: SetMode | SetArmed) -> bool:
-    if isinstance(request, SetMode):
-        return action == "mode"
-    return action == ("arm" if request.armed else "disarm")
+    return action == ("mode" if isinstance(request, SetMode) else "arm" if request.armed else "disarm")

@@ -36,7 +36,7 @@ from kffa_offboard.offboard.loop import LoopState, forget_sent
 from kffa_offboard.offboard.rivals import Rivals
 from kffa_offboard.offboard.sequence import Engagement, EngagePhase, Retry, begin_retry
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.state import IDLE, LANDED, REFUSED, SENDING, UNCONFIRMED, Finished, State
+from kffa_offboard.offboard.state import IDLE, KEPT, LANDED, REFUSED, SENDING, UNCONFIRMED, Finished, State
 from kffa_offboard.offboard.trust import Trust
 
 
@@ -49,6 +49,8 @@ class Session:
     state : present state
     finished : None while the service may still fly
     """
+
+    __slots__ = KEPT
 
     def __init__(self, settings: ServiceSettings) -> None:
         self.settings = settings

@@ -123,7 +123,7 @@ def _attitude_fault(
     (roll, pitch, yaw), (new_roll, new_pitch, new_yaw) = last.attitude, new.attitude
     roll, pitch, yaw = new_roll - roll, new_pitch - pitch, new_yaw - yaw
     allowed = limits.attitude_jump_rad + limits.attitude_rate_max_rad_s * dt
-    if max(abs(roll), abs(pitch), abs(yaw)) <= allowed:
+    if abs(roll) <= allowed and abs(pitch) <= allowed and abs(yaw) <= allowed:
         return None  # without a look at whole turns
     jump = max(abs(_turn(roll)), abs(_turn(pitch)), abs(_turn(yaw)))
     if jump > allowed:

@@ -211,7 +211,9 @@ def _follow_delay(
         return replace(state, late_since_us=since_us), fault
     if time_us - state.window_us >= DELAY_WINDOW_US:
         return Delay(time_us, delay_us, state.smallest_us), None
-    return Delay(state.window_us, min(state.smallest_us, delay_us), state.former_us), None
+    if delay_us >= state.smallest_us:
+        return state if state.late_since_us is None else replace(state, late_since_us=None), None
+    return Delay(state.window_us, delay_us, state.former_us), None
 
 
 def lateness_s(trust: Trust, time_us: int) -> float:
@@ -223,7 +225,8 @@ def lateness_s(trust: Trust, time_us: int) -> float:
 
 
 def _excess_us(state: Delay, delay_us: int) -> int:
-    return delay_us - min(state.smallest_us, state.former_us)
+    smallest_us, former_us = state.smallest_us, state.former_us  # `min` takes five times as long
+    return delay_us - (smallest_us if smallest_us < former_us else former_us)
 
 
 def _euler_rates(event: AttitudeReceived) -> tuple[float, float]:
@@ -238,7 +241,7 @@ def _angle_mismatch(
 ) -> tuple[tuple[float, float], tuple[float, float], bool]:
     """Slow and quick, of roll and pitch, and whether this sample alone is too far off; `now`: its rates."""
     last, then = before.last, before.rates
-    if last is None or max(_tilt(last.attitude), _tilt(event.attitude)) > _STEEPEST_RAD:
+    if last is None or _tilt(last.attitude) > _STEEPEST_RAD or _tilt(event.attitude) > _STEEPEST_RAD:
         return (0.0, 0.0), (0.0, 0.0), False
     dt = (event.sample_time_us - last.sample_time_us) * 1e-6
     roll = event.attitude[0] - last.attitude[0] - 0.5 * dt * (then[0] + now[0])
@@ -257,11 +260,12 @@ def _angle_mismatch(
 
 
 def _tilt(attitude: Vector3) -> float:
-    return max(abs(attitude[0]), abs(attitude[1]))
+    roll, pitch = abs(attitude[0]), abs(attitude[1])
+    return pitch if pitch > roll else roll
 
 
 def _bounded(value: float, most: float) -> float:
-    return -most if value < -most else min(value, most)
+    return -most if value < -most else most if most < value else value
 
 
 def _height_mismatch(before: PositionTrust, event: PositionReceived) -> tuple[float, float]:

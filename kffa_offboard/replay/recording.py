@@ -102,15 +102,16 @@ class _Reader:
         self._signals: list[Frame] = []
 
     def take_all(self, records: Iterable[tuple[int, bytes]]) -> None:
-        for time_us, frame in records:
+        for record in records:
+            time_us, frame = record
             ours = frame[5:7] == self._own and frame[0] == _MARKER_V2
             if self._lost:
                 continue
             if ours and frame[7:10] not in _LOG_ONLY:
-                self._sent.append((time_us, frame))
+                self._sent.append(record)
                 self._last_us = time_us
             elif ours and is_signal_frame(frame):
-                self._signals.append((time_us, frame))
+                self._signals.append(record)
                 self._last_us = time_us
             else:
                 self._take(time_us, frame, ours)

@@ -5,8 +5,9 @@ from math import isfinite
 from hypothesis import given
 from hypothesis import strategies as st
 
+from kffa_offboard.frame_codec import decode
 from kffa_offboard.mavlink.commands import EncodingError, attitude_target
-from kffa_offboard.mavlink.component import Route
+from kffa_offboard.mavlink.component import Component, Route
 from kffa_offboard.offboard.events import AttitudeTarget
 from kffa_offboard.offboard.guard import check_target, tilt
 from kffa_offboard.offboard.settings import LimitSettings
@@ -24,15 +25,10 @@ def test_nothing_bad_passes_the_last_door(target):
         message = attitude_target(Route(), target, 0)
     except EncodingError:
         return
-    numbers = (
-        message.thrust,
-        message.body_roll_rate,
-        message.body_pitch_rate,
-        message.body_yaw_rate,
-        *message.q,
-    )
-    assert all(isfinite(number) for number in numbers)
-    assert 0.0 <= message.thrust <= 1.0 and message.type_mask in (7, 128)
+    sent = decode(Component(Route()).pack(message))
+    numbers = (sent.thrust, sent.body_roll_rate, sent.body_pitch_rate, sent.body_yaw_rate, *sent.q)
+    assert all(map(isfinite, (*message.values, *numbers)))
+    assert 0.0 <= sent.thrust <= 1.0 and sent.type_mask in (7, 128)
 
 
 @given(st.lists(steps, max_size=8))

@@ -67,7 +67,9 @@ def test_an_attitude_nose_up_is_sent_as_positive_pitch_in_ned(read):
 )
 def test_every_attitude_is_sent_as_a_unit_quaternion(roll, pitch, yaw, thrust):
     message = attitude_target(ROUTE, AttitudeTarget(thrust, attitude=(roll, pitch, yaw)), 0)
-    assert math.hypot(*message.q) == pytest.approx(1.0, abs=1e-9)
+    time_ms, w, x, y, z, *_ = message.values
+    assert time_ms == 0
+    assert math.hypot(w, x, y, z) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_setpoints_go_to_the_configured_vehicle_with_a_time_that_fits_32_bits(read):

@@ -296,10 +296,10 @@ def test_an_echo_is_known_for_256_frames(watch, scripted):
     ours = scripted(245, 191)
     frames = [ours.over_the_wire(scripted.attitude(boot_ms)) for boot_ms in range(257)]
     for frame in frames[:256]:
-        watch.note_sent(bytes(frame.get_msgbuf()))
+        watch.note_sent([bytes(frame.get_msgbuf())])
     assert not any(watch.is_impostor(frame) for frame in frames[:256])
     assert watch.is_impostor(frames[256])
-    watch.note_sent(bytes(frames[256].get_msgbuf()))
+    watch.note_sent([bytes(frames[256].get_msgbuf())])
     assert watch.is_impostor(frames[0]) and not watch.is_impostor(frames[1])
 
 

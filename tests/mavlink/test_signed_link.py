@@ -210,7 +210,7 @@ def test_recorded_frames_of_ours_are_no_second_daemon(link, wire):
     own = Component(Route())
     for number in range(300):
         frame = own.pack(mavlink.MAVLink_statustext_message(6, f"{number}".encode(), 0, 0))
-        rivals.note_sent(frame)
+        rivals.note_sent([frame])
         link.send(frame)
     for frame in wire.sent:
         for datagram in arrive(link, wire, frame):

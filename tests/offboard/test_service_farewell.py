@@ -61,7 +61,7 @@ def test_a_program_that_fails_in_the_middle_of_a_step_still_has_last_words(fake,
     def broken(*arguments):
         raise ZeroDivisionError
 
-    monkeypatch.setattr(flight.service, "_watch_payload", broken)
+    monkeypatch.setattr(type(flight.service), "_watch_payload", broken)
     with pytest.raises(ZeroDivisionError):
         flight.run(1.0)
     with pytest.raises(ZeroDivisionError):
