@@ -34,7 +34,7 @@ mavlink.mavlink_map.setdefault(CURRENT_MODE, MAVLink_current_mode_message)
 _PYMAVLINK = mavlink.MAVLink(None)
 
 
-class Outgoing(Struct, frozen=True):
+class Outgoing(Struct, frozen=True, gc=False):
     """A message that is only to be sent.
 
     Attributes
@@ -48,7 +48,7 @@ class Outgoing(Struct, frozen=True):
     values: tuple[Any, ...]
 
 
-class _Layout(Struct, frozen=True):
+class _Layout(Struct, frozen=True, gc=False):
     """What is always the same about one type of message.
 
     Attributes

@@ -37,7 +37,7 @@ class ActuatorParameters:
         return float(np.max(self.lag))
 
 
-class ActuatorState(Struct, frozen=True):
+class ActuatorState(Struct, frozen=True, gc=False):
     """Commands under way.
 
     Attributes
@@ -68,7 +68,7 @@ def send(state: ActuatorState, command: Array, after: float = 0.0) -> ActuatorSt
     return ActuatorState((*ages, -after), np.concatenate((kept, command[None])), state.lagged)
 
 
-class Line(Struct, frozen=True):
+class Line(Struct, frozen=True, gc=False):
     """Commands under way on one channel of one vehicle: `ActuatorState` in plain floats."""
 
     ages: tuple[float, ...]

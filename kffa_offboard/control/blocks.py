@@ -59,14 +59,14 @@ class ControllerParameters:
         return np.where(self.angular, 2.0 * np.pi, 0.0)
 
 
-class ExpectedStep(Struct, frozen=True):
+class ExpectedStep(Struct, frozen=True, gc=False):
     """The disturbance will change by `step` ``(4[, N])``; it shows in the measurements `after` s from now."""
 
     step: Array
     after: float
 
 
-class ControllerState(Struct, frozen=True):
+class ControllerState(Struct, frozen=True, gc=False):
     """Everything that a controller remembers between steps; a value: copy it, compare it, save it."""
 
     differentiator: td.TrackingDifferentiatorState
@@ -77,7 +77,7 @@ class ControllerState(Struct, frozen=True):
     expected: ExpectedStep | None = None
 
 
-class ControllerInput(Struct, frozen=True):
+class ControllerInput(Struct, frozen=True, gc=False):
     """What one step is told; arrays ``(4[, N])`` in channel order.
 
     Attributes
@@ -95,7 +95,7 @@ class ControllerInput(Struct, frozen=True):
     measured_rate: Array | None = None
 
 
-class ControllerOutput(Struct, frozen=True):
+class ControllerOutput(Struct, frozen=True, gc=False):
     """What one step says; arrays ``(4[, N])`` in channel order.
 
     Attributes

@@ -39,7 +39,7 @@ __all__ = [
 MEASUREMENT_VARIANCE = 0.001  # the paper's R (section III-C)
 
 
-class KalmanState(Struct, frozen=True):
+class KalmanState(Struct, frozen=True, gc=False):
     """Mean of the filter, and how uncertain it is.
 
     Attributes

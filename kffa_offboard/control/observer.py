@@ -102,7 +102,7 @@ class ObserverParameters:
         return cls(poles)
 
 
-class ObserverState(Struct, frozen=True):
+class ObserverState(Struct, frozen=True, gc=False):
     """Estimates s1 (output), s2 (its rate), s3 (total disturbance) and the age of the last correction.
 
     Attributes

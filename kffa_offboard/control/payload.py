@@ -101,7 +101,7 @@ class PayloadParameters:
         return GRAVITY / self.hover_thrust
 
 
-class PayloadState(Struct, frozen=True):
+class PayloadState(Struct, frozen=True, gc=False):
     """Estimates, sums and commands under way.
 
     Attributes
@@ -128,7 +128,7 @@ class PayloadState(Struct, frozen=True):
     suspected: Numbers
 
 
-class PayloadEstimate(Struct, frozen=True):
+class PayloadEstimate(Struct, frozen=True, gc=False):
     """What one step found.
 
     Attributes

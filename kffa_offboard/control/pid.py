@@ -46,7 +46,7 @@ class PidParameters:
     derivative_time: float = 0.02
 
 
-class PidState(Struct, frozen=True):
+class PidState(Struct, frozen=True, gc=False):
     """Integral (as an acceleration), last measurement and filtered rate, each ``(4[, N])``."""
 
     integral: Array

@@ -26,7 +26,7 @@ ESTIMATE, RATE, DISTURBANCE, LAGGED, FILTERED = 3, 4, 5, 6, 7
 """Rows of `PlainState.numbers`; before them are those of the tracking differentiator."""
 
 
-class PlainState(Struct, frozen=True):
+class PlainState(Struct, frozen=True, gc=False):
     """`ControllerState` of one vehicle. No expected step of the disturbance: those steps are made by arrays.
 
     Attributes
@@ -53,7 +53,7 @@ class PlainState(Struct, frozen=True):
         return self.numbers[number * channels : (number + 1) * channels]
 
 
-class PlainInput(Struct, frozen=True):
+class PlainInput(Struct, frozen=True, gc=False):
     """`ControllerInput` of one vehicle."""
 
     reference: Vector
@@ -69,7 +69,7 @@ class PlainInput(Struct, frozen=True):
         )
 
 
-class PlainOutput(Struct, frozen=True):
+class PlainOutput(Struct, frozen=True, gc=False):
     """`ControllerOutput` of one vehicle."""
 
     command: Vector

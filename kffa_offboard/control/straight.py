@@ -62,7 +62,7 @@ REMEMBERED = 256
 _ANY_STEP = 0.01  # s; the function is the same for all
 
 
-class Found(Struct, frozen=True):
+class Found(Struct, frozen=True, gc=False):
     """Coefficients without the Kalman filter's, as `Law.function` takes them.
 
     Attributes
@@ -77,14 +77,14 @@ class Found(Struct, frozen=True):
     windows: list[tuple[float, float]]
 
 
-class FoundGains(Struct, frozen=True):
+class FoundGains(Struct, frozen=True, gc=False):
     """The Kalman filter's gains as `Law.function` takes them, and its spreads after the step."""
 
     numbers: Vector
     spreads: tuple[Spread, ...]
 
 
-class Shares(Struct, frozen=True):
+class Shares(Struct, frozen=True, gc=False):
     """How commands under way act in a step.
 
     Attributes

@@ -36,7 +36,7 @@ class TrackingDifferentiatorParameters:
     filter_time: float = 0.1
 
 
-class TrackingDifferentiatorState(Struct, frozen=True):
+class TrackingDifferentiatorState(Struct, frozen=True, gc=False):
     """Tracked reference, its rate and the acceleration that made it, each ``(4[, N])``."""
 
     position: Array

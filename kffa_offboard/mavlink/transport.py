@@ -11,7 +11,7 @@ Clock: TypeAlias = Callable[[], int]
 """Tells the time in integer microseconds and never goes back."""
 
 
-class Datagram(Struct, frozen=True):
+class Datagram(Struct, frozen=True, gc=False):
     """Bytes that arrived together.
 
     `time_us` is the time of reading on the link's clock; `source` tells senders apart (each has its own

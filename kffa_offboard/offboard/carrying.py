@@ -23,7 +23,7 @@ SWINGING = 1.5
 """Changes of side, fading with `LONG_S`, from which on thrust swings: a load that comes or goes makes one."""
 
 
-class Carrying(Struct, frozen=True):
+class Carrying(Struct, frozen=True, gc=False):
     """Mean of the thrust that balances; two means of the setpoints' thrust, on which side of the long the
     short was last, and changes of side.
     """

@@ -26,7 +26,7 @@ SETTLED_US = 2_000_000
 """The first reports in the air are not judged."""
 
 
-class Echo(Struct, frozen=True):
+class Echo(Struct, frozen=True, gc=False):
     """What was sent and reported.
 
     Attributes

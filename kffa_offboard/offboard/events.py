@@ -43,7 +43,7 @@ class Severity(Enum):
 # ---------------------------------------------------------------------------- events in
 
 
-class HeartbeatReceived(Struct, frozen=True):
+class HeartbeatReceived(Struct, frozen=True, gc=False):
     """The autopilot is alive: its firmware, flight mode and arming state."""
 
     firmware: Firmware
@@ -53,7 +53,7 @@ class HeartbeatReceived(Struct, frozen=True):
     armed: bool
 
 
-class AttitudeReceived(Struct, frozen=True):
+class AttitudeReceived(Struct, frozen=True, gc=False):
     """Euler angles [rad] (roll, pitch, yaw) and body rates [rad/s] of one sample."""
 
     sample_time_us: int
@@ -61,7 +61,7 @@ class AttitudeReceived(Struct, frozen=True):
     body_rates: Vector3
 
 
-class PositionReceived(Struct, frozen=True):
+class PositionReceived(Struct, frozen=True, gc=False):
     """Position [m] and velocity [m/s] of one sample, relative to the estimator's origin, z up."""
 
     sample_time_us: int
@@ -69,7 +69,7 @@ class PositionReceived(Struct, frozen=True):
     velocity: Vector3
 
 
-class TargetReported(Struct, frozen=True):
+class TargetReported(Struct, frozen=True, gc=False):
     """What the autopilot itself is commanding (ATTITUDE_TARGET); None where it is not to be trusted."""
 
     sample_time_us: int
@@ -78,25 +78,25 @@ class TargetReported(Struct, frozen=True):
     attitude: Vector3 | None
 
 
-class ThrottleReported(Struct, frozen=True):
+class ThrottleReported(Struct, frozen=True, gc=False):
     """VFR_HUD throttle as a fraction 0..1, for firmware that reports no ATTITUDE_TARGET."""
 
     throttle: float
 
 
-class LandedStateReported(Struct, frozen=True):
+class LandedStateReported(Struct, frozen=True, gc=False):
     """EXTENDED_SYS_STATE: is the vehicle on the ground?"""
 
     on_ground: bool
 
 
-class BatteryReported(Struct, frozen=True):
+class BatteryReported(Struct, frozen=True, gc=False):
     """SYS_STATUS: what is left in the battery, percent."""
 
     remaining_percent: float
 
 
-class CommandAnswered(Struct, frozen=True):
+class CommandAnswered(Struct, frozen=True, gc=False):
     """COMMAND_ACK. `action` names the output it answers."""
 
     action: Literal["arm", "disarm", "mode", "message-rate", "gripper", "other"]
@@ -106,14 +106,14 @@ class CommandAnswered(Struct, frozen=True):
     result_name: str
 
 
-class StatusReceived(Struct, frozen=True):
+class StatusReceived(Struct, frozen=True, gc=False):
     """STATUSTEXT of the autopilot, for the log."""
 
     severity: int
     text: str
 
 
-class ParameterProblem(Struct, frozen=True):
+class ParameterProblem(Struct, frozen=True, gc=False):
     """What is wrong with one of the autopilot's parameters, and what to set. "unsafe" forbids engaging."""
 
     name: str
@@ -121,44 +121,44 @@ class ParameterProblem(Struct, frozen=True):
     text: str
 
 
-class ParametersChecked(Struct, frozen=True):
+class ParametersChecked(Struct, frozen=True, gc=False):
     """The autopilot's parameters were judged; `complete` is False while they are being read."""
 
     problems: tuple[ParameterProblem, ...]
     complete: bool = True
 
 
-class EngageRequested(Struct, frozen=True):
+class EngageRequested(Struct, frozen=True, gc=False):
     """Somebody (the command line or a MAVLink command) asks the daemon to take control."""
 
 
-class ReleaseRequested(Struct, frozen=True):
+class ReleaseRequested(Struct, frozen=True, gc=False):
     """Somebody asks the daemon to give control back; with `stay` it may be asked to engage again."""
 
     reason: str
     stay: bool = False
 
 
-class GripperRequested(Struct, frozen=True):
+class GripperRequested(Struct, frozen=True, gc=False):
     """Somebody asks the daemon to grab or release the load."""
 
     action: Literal["grab", "release"]
 
 
-class SettingsChanged(Struct, frozen=True):
+class SettingsChanged(Struct, frozen=True, gc=False):
     """Other numbers from now on; what the controller remembers stays."""
 
     settings: ServiceSettings
 
 
-class LinkMeasured(Struct, frozen=True):
+class LinkMeasured(Struct, frozen=True, gc=False):
     """The autopilot's clock less ours [us], and how long a message and its answer take [s]."""
 
     clock_offset_us: int
     round_trip_s: float
 
 
-class IntrusionNoticed(Struct, frozen=True):
+class IntrusionNoticed(Struct, frozen=True, gc=False):
     """Somebody is on the link who should not be, and what follows.
 
     It is "said"; or it "forbids" engaging, too; or, if it goes on, it "ends" control, too.
@@ -168,17 +168,17 @@ class IntrusionNoticed(Struct, frozen=True):
     consequence: Literal["said", "forbids", "ends"]
 
 
-class GiveUpRequested(Struct, frozen=True):
+class GiveUpRequested(Struct, frozen=True, gc=False):
     """The run ends without waiting longer: last words, and the vehicle's parameters are put back."""
 
 
-class HangNoticed(Struct, frozen=True):
+class HangNoticed(Struct, frozen=True, gc=False):
     """The daemon stood still for so long (stopped, or without a processor) that it has lost control."""
 
     seconds: float
 
 
-class PositionSetpoint(Struct, frozen=True):
+class PositionSetpoint(Struct, frozen=True, gc=False):
     """Go to x, y and z [m] from the estimator's origin, heading `yaw` [rad]; None leaves it as it is.
 
     x and y come together or not at all.
@@ -188,7 +188,7 @@ class PositionSetpoint(Struct, frozen=True):
     yaw: float | None = None
 
 
-class AttitudeSetpoint(Struct, frozen=True):
+class AttitudeSetpoint(Struct, frozen=True, gc=False):
     """Fly with this attitude [rad]; the height is held."""
 
     attitude: Vector3
@@ -220,7 +220,7 @@ Event: TypeAlias = (
 # ---------------------------------------------------- what the daemon's own process reports
 
 
-class StepTiming(Struct, frozen=True):
+class StepTiming(Struct, frozen=True, gc=False):
     """How punctual the control loop is.
 
     Control steps since the start, those that were late, other deadlines that were late, and the longest
@@ -233,7 +233,7 @@ class StepTiming(Struct, frozen=True):
     longest_s: float
 
 
-class Trouble(Struct, frozen=True):
+class Trouble(Struct, frozen=True, gc=False):
     """Something beside the flight that people should know of: a full disk, an unplugged cable."""
 
     text: str
@@ -245,7 +245,7 @@ ProcessReport: TypeAlias = StepTiming | Trouble
 # --------------------------------------------------------------------------- messages out
 
 
-class AttitudeTarget(Struct, frozen=True):
+class AttitudeTarget(Struct, frozen=True, gc=False):
     """One setpoint. Exactly one of `body_rates` [rad/s] and `attitude` [rad] is given.
 
     `thrust` is normalised collective thrust 0..1.
@@ -256,7 +256,7 @@ class AttitudeTarget(Struct, frozen=True):
     attitude: Vector3 | None = None
 
 
-class RequestMessageRates(Struct, frozen=True):
+class RequestMessageRates(Struct, frozen=True, gc=False):
     """Ask for telemetry: event class name -> Hz."""
 
     attitude_hz: float
@@ -266,45 +266,45 @@ class RequestMessageRates(Struct, frozen=True):
     heartbeat_hz: float = 5.0
 
 
-class SetMode(Struct, frozen=True):
+class SetMode(Struct, frozen=True, gc=False):
     """Ask the autopilot for a flight mode."""
 
     mode: ModeKind
 
 
-class SetArmed(Struct, frozen=True):
+class SetArmed(Struct, frozen=True, gc=False):
     """Ask the autopilot to arm or to disarm. Never forced."""
 
     armed: bool
 
 
-class SetGripper(Struct, frozen=True):
+class SetGripper(Struct, frozen=True, gc=False):
     """Work the payload gripper (MAV_CMD_DO_GRIPPER)."""
 
     action: Literal["grab", "release"]
 
 
-class Announce(Struct, frozen=True):
+class Announce(Struct, frozen=True, gc=False):
     """A line for people: STATUSTEXT (50 characters or fewer there) and a line in the log."""
 
     severity: Severity
     text: str
 
 
-class RequestRefused(Struct, frozen=True):
+class RequestRefused(Struct, frozen=True, gc=False):
     """What was just asked is not done; `final` if asking again cannot help. For whoever asked."""
 
     reason: str
     final: bool = False
 
 
-class OwnHeartbeat(Struct, frozen=True):
+class OwnHeartbeat(Struct, frozen=True, gc=False):
     """The daemon's own heartbeat (component 191)."""
 
     state: Literal["standby", "active", "critical"]
 
 
-class Signals(Struct, frozen=True):
+class Signals(Struct, frozen=True, gc=False):
     """Inner signals of one control step, for the log and for live graphs.
 
     Each tuple is in channel order roll, pitch, yaw, altitude. `time_us` is the event's
@@ -330,7 +330,7 @@ class Signals(Struct, frozen=True):
     position_reference: tuple[float, float] | None = None
 
 
-class PayloadReport(Struct, frozen=True):
+class PayloadReport(Struct, frozen=True, gc=False):
     """Estimated mass of the load and its standard deviation, kg. `time_us` is the arrival time."""
 
     time_us: int

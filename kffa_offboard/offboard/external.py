@@ -23,7 +23,7 @@ _AT_REST_M_S = 0.01
 _SAME_M = 1e-3
 
 
-class External(Struct, frozen=True):
+class External(Struct, frozen=True, gc=False):
     """What was asked for last.
 
     Attributes

@@ -48,7 +48,7 @@ class Ending(Enum):
     FAULT = "fault"
 
 
-class FlightState(Struct, frozen=True):
+class FlightState(Struct, frozen=True, gc=False):
     """Where a flight is.
 
     Attributes
@@ -72,7 +72,7 @@ class FlightState(Struct, frozen=True):
     outcome: Finished | None = None
 
 
-class FlightSample(Struct, frozen=True):
+class FlightSample(Struct, frozen=True, gc=False):
     """What a flight needs to know in each step.
 
     Attributes
@@ -93,7 +93,7 @@ class FlightSample(Struct, frozen=True):
     powered_us: int | None
 
 
-class Directive(Struct, frozen=True):
+class Directive(Struct, frozen=True, gc=False):
     """What is to be done in this step.
 
     Attributes

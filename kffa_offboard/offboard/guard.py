@@ -15,7 +15,7 @@ from kffa_offboard.offboard.events import AttitudeTarget, Vector3
 from kffa_offboard.offboard.settings import LimitSettings
 
 
-class Checked(Struct, frozen=True):
+class Checked(Struct, frozen=True, gc=False):
     """Result of a check.
 
     Attributes
@@ -30,7 +30,7 @@ class Checked(Struct, frozen=True):
     fault: str | None = None
 
 
-class Wish(Struct, frozen=True):
+class Wish(Struct, frozen=True, gc=False):
     """What the controller is to follow.
 
     Attributes

@@ -21,7 +21,7 @@ from kffa_offboard.offboard.settings import PositionSettings
 from kffa_offboard.offboard.telemetry import Telemetry
 
 
-class HorizontalState(Struct, frozen=True):
+class HorizontalState(Struct, frozen=True, gc=False):
     """What one step of the ring leaves for the next.
 
     Attributes

@@ -36,14 +36,14 @@ _NOTHING = (0.0, 0.0, 0.0, 0.0)
 ROUNDING = 1e-9  # what a setpoint may change by on its way through body rates and back
 
 
-class Blend(Struct, frozen=True):
+class Blend(Struct, frozen=True, gc=False):
     """Difference between the autopilot's vertical thrust and the controller's at engaging; it fades."""
 
     offset: float
     since_us: int
 
 
-class LoopState(Struct, frozen=True):
+class LoopState(Struct, frozen=True, gc=False):
     """What one step leaves for the next.
 
     Attributes
@@ -84,7 +84,7 @@ class LoopState(Struct, frozen=True):
         return replace(self, sent=target, sent_us=time_us)
 
 
-class Order(Struct, frozen=True):
+class Order(Struct, frozen=True, gc=False):
     """How this step is to be made.
 
     Attributes
@@ -109,7 +109,7 @@ class Order(Struct, frozen=True):
         return self.acting and not self.capture
 
 
-class Trace(Struct, frozen=True):
+class Trace(Struct, frozen=True, gc=False):
     """What a step leaves for those who watch; `signals` puts it into the order of the log, later.
 
     Attributes
@@ -128,7 +128,7 @@ class Trace(Struct, frozen=True):
     applied: Vector
 
 
-class LoopStep(Struct, frozen=True):
+class LoopStep(Struct, frozen=True, gc=False):
     """Result of a step: what goes out (None in shadow or on a fault), its trace, and the fault."""
 
     target: AttitudeTarget | None

@@ -30,7 +30,7 @@ TOLD_MEMORY_S = 1.0
 """Time constant with which the load that is known follows its estimate: batteries sag, winds change."""
 
 
-class PayloadSample(Struct, frozen=True):
+class PayloadSample(Struct, frozen=True, gc=False):
     """One control step as payload awareness sees it.
 
     Attributes
@@ -56,21 +56,21 @@ class PayloadSample(Struct, frozen=True):
     untimed: bool = False
 
 
-class Load(Struct, frozen=True):
+class Load(Struct, frozen=True, gc=False):
     """Mass of the load and its standard deviation, kg."""
 
     mass: float
     std: float
 
 
-class PickUp(Struct, frozen=True):
+class PickUp(Struct, frozen=True, gc=False):
     """A pick-up that is named when its mass is exact: when it was noticed, and the load before, kg."""
 
     since_us: int
     before: float
 
 
-class ExpectedDrop(Struct, frozen=True):
+class ExpectedDrop(Struct, frozen=True, gc=False):
     """A release that the daemon has commanded: the load, kg, and when it should show in the measurements."""
 
     load: float
@@ -78,7 +78,7 @@ class ExpectedDrop(Struct, frozen=True):
     begun: bool = False
 
 
-class Awareness(Struct, frozen=True):
+class Awareness(Struct, frozen=True, gc=False):
     """What is known of the load.
 
     Attributes

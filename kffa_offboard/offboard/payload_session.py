@@ -38,7 +38,7 @@ from kffa_offboard.offboard.tuning import adopt
 GripperAction = Literal["grab", "release"]
 
 
-class Release(Struct, frozen=True):
+class Release(Struct, frozen=True, gc=False):
     """A release under way: its plan, when the gripper's command is due (None: it is out), when the release
     should show, and the altitude channel's disturbance before it, m/s^2.
     """

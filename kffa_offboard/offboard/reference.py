@@ -86,7 +86,7 @@ def wave(segment: Wave, time_s: float) -> float:
 # --------------------------------------------------------------------------- the player
 
 
-class ScenarioState(Struct, frozen=True):
+class ScenarioState(Struct, frozen=True, gc=False):
     """Where a scenario is.
 
     Attributes
@@ -116,7 +116,7 @@ class ScenarioState(Struct, frozen=True):
     origin: Offset = (0.0, 0.0)
 
 
-class ScenarioOutput(Struct, frozen=True):
+class ScenarioOutput(Struct, frozen=True, gc=False):
     """What the scenario wants now.
 
     Attributes

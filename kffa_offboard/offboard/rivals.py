@@ -23,7 +23,7 @@ PAUSE_US = 1_000_000
 MOST_TEXTS = 8
 
 
-class Rivals(Struct, frozen=True):
+class Rivals(Struct, frozen=True, gc=False):
     """What was noticed: the last that forbids engaging, when control was fought over, what was said when."""
 
     text: str = ""

@@ -32,7 +32,7 @@ def microseconds(seconds: float) -> int:
 # ------------------------------------------------------------------------------ retries
 
 
-class Retry(Struct, frozen=True):
+class Retry(Struct, frozen=True, gc=False):
     """A request that is repeated until it is accepted or given up.
 
     Attributes
@@ -106,7 +106,7 @@ class EngagePhase(Enum):
     PERSON = "person"
 
 
-class Engagement(Struct, frozen=True):
+class Engagement(Struct, frozen=True, gc=False):
     """Where engaging is.
 
     Attributes
@@ -131,7 +131,7 @@ class Engagement(Struct, frozen=True):
     arm_asked: bool = False
 
 
-class EngageStep(Struct, frozen=True):
+class EngageStep(Struct, frozen=True, gc=False):
     """Outcome: the record, what to send, and at most one of the ends.
 
     Attributes

@@ -31,7 +31,7 @@ _LATELY_US = 250_000
 LONGEST_LATENCY_S = 10.0
 
 
-class Stream(Struct, frozen=True):
+class Stream(Struct, frozen=True, gc=False):
     """Arrival of one kind of sample.
 
     Attributes
@@ -50,7 +50,7 @@ class Stream(Struct, frozen=True):
     dropped: int = 0
 
 
-class Telemetry(Struct, frozen=True):
+class Telemetry(Struct, frozen=True, gc=False):
     """The last of everything, and since when it has been flowing without a break."""
 
     attitude: AttitudeReceived | None = None
@@ -70,7 +70,7 @@ class Telemetry(Struct, frozen=True):
     invalid: int = 0
 
 
-class Sample(Struct, frozen=True):
+class Sample(Struct, frozen=True, gc=False):
     """Outcome of one sample: accepted with the step `dt` [s] (0 for the first), dropped, or a fault."""
 
     accepted: bool

@@ -66,14 +66,14 @@ then the greatest)."""
 _STEEPEST_RAD = 1.2  # Euler rates grow beyond bounds towards 90 degrees of pitch
 
 
-class Still(Struct, frozen=True):
+class Still(Struct, frozen=True, gc=False):
     """Values and when they arrived first, us."""
 
     values: tuple[float, ...] = ()
     since_us: int = 0
 
 
-class Delay(Struct, frozen=True):
+class Delay(Struct, frozen=True, gc=False):
     """Arrival time less sample time, us: smallest of this and of the former window; since when late."""
 
     window_us: int | None = None
@@ -82,7 +82,7 @@ class Delay(Struct, frozen=True):
     late_since_us: int | None = None
 
 
-class AttitudeTrust(Struct, frozen=True):
+class AttitudeTrust(Struct, frozen=True, gc=False):
     """What is remembered of the attitude.
 
     Attributes
@@ -102,7 +102,7 @@ class AttitudeTrust(Struct, frozen=True):
     rates: tuple[float, float] = (0.0, 0.0)
 
 
-class PositionTrust(Struct, frozen=True):
+class PositionTrust(Struct, frozen=True, gc=False):
     """What is remembered of the position.
 
     Attributes
@@ -119,7 +119,7 @@ class PositionTrust(Struct, frozen=True):
     odd_since_us: int | None = None
 
 
-class Trust(Struct, frozen=True):
+class Trust(Struct, frozen=True, gc=False):
     """What is remembered of telemetry for judging it."""
 
     attitude: AttitudeTrust = AttitudeTrust()
