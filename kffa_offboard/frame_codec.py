@@ -144,8 +144,8 @@ def is_whole(frame: bytes, kind: Any) -> bool:
     """True for a whole, undamaged, unsigned MAVLink 2 frame of one of pymavlink's message classes."""
     if len(frame) < OVERHEAD or frame[0] != _MARKER or frame[2] or len(frame) != frame[1] + OVERHEAD:
         return False
-    known = int.from_bytes(frame[7:10], "little") == kind.id
-    return known and checksum(frame[1:-2], _layout(kind).crc_extra) == frame[-2:]
+    layout = _layout(kind)
+    return frame[7:10] == layout.number and checksum(frame[1:-2], layout.crc_extra) == frame[-2:]
 
 
 def unpack(frame: bytes) -> Any | None:

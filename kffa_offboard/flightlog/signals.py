@@ -132,7 +132,7 @@ def is_signal_frame(frame: bytes) -> bool:
     """`is_signals` for a frame, without decoding it; False for a frame that is damaged or signed."""
     if not is_whole(frame, mavlink.MAVLink_debug_float_array_message):
         return False
-    time_us, array_id, name, state = _HEAD.unpack(frame[10:-2].ljust(_HEAD_SIZE, b"\0")[:_HEAD_SIZE])
+    time_us, array_id, name, state = _HEAD.unpack(frame[10:-2][:_HEAD_SIZE].ljust(_HEAD_SIZE, b"\0"))
     of_log = array_id == ARRAY_ID and name.rstrip(b"\0") == _NAME
     return bool(of_log and 0.0 <= state < len(STATE_NAMES) and time_us < LATEST_US)
 

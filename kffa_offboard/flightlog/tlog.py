@@ -7,6 +7,7 @@ import io
 import struct
 import zlib
 from collections.abc import Collection, Iterator
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -94,7 +95,7 @@ class TlogReader:
         self.damaged = 0
         try:
             with _open(self._path) as file:
-                records = self._records(file)
+                records = chain.from_iterable(self._blocks(file))
                 yield from self._evened(records) if self._even else records
         except EOFError:  # a compressed file that was cut short
             self.truncated = True
@@ -104,14 +105,15 @@ class TlogReader:
                 "check the path"
             ) from error
 
-    def _records(self, file: _Source) -> Iterator[tuple[int, bytes]]:
+    def _blocks(self, file: _Source) -> Iterator[list[tuple[int, bytes]]]:
+        """Records, as they are read."""
         data, at = b"", 0  # what of the file was read last, and where in it the next record begins
         position = 0  # of this part in the file
         while True:
             more = self._more(file)
             data, position = data[at:] + more, position + at
             records, at = self._whole_records(data)
-            yield from records
+            yield records
             head = data[at + _STAMP_SIZE : at + _STAMP_SIZE + _HEAD_SIZE]
             if len(head) == _HEAD_SIZE and frame_size(*head) is None:
                 self._end_or_damage(file, data[at:], position + at)

@@ -81,9 +81,10 @@ def attitude_target(route: Route, target: AttitudeTarget, time_us: int) -> Messa
 
 
 def _checked_body_rates(body_rates: Vector3) -> Vector3:
-    for number, rate in enumerate(body_rates):
-        if not -BODY_RATE_LIMIT <= rate <= BODY_RATE_LIMIT:
-            _check(_BODY_RATES[number], rate, -BODY_RATE_LIMIT, BODY_RATE_LIMIT)
+    (p, q, r), most = body_rates, BODY_RATE_LIMIT
+    if not (-most <= p <= most and -most <= q <= most and -most <= r <= most):
+        for name, rate in zip(_BODY_RATES, body_rates, strict=True):
+            _check(name, rate, -most, most)
     return frames.body_rates_to_frd(body_rates)
 
 

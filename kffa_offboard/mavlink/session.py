@@ -236,9 +236,11 @@ class Session:
             keeper = None if self._parameters is None else self._parameters.due_us()
             self._others_us = _earlier(keeper, self._companion.next_deadline())
             self._others_known = True
+        others_us = self._others_us
         if self.service.finished is not None:
-            return self._others_us
-        return _earlier(self.service.next_deadline(), self._others_us)
+            return others_us
+        due_us = self.service.next_deadline()
+        return due_us if others_us is None else _earlier(due_us, others_us)
 
     @property
     def done(self) -> bool:

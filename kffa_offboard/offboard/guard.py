@@ -112,7 +112,7 @@ def check_target(
     airborne : False allows thrust below `limits.thrust_min`
     """
     numbers = (target.thrust, *(target.body_rates or ()), *(target.attitude or ()), *attitude, dt)
-    if not all(map(isfinite, numbers)):
+    if not isfinite(sum(numbers)) and not all(map(isfinite, numbers)):  # a finite sum says so at once
         return Checked(None, fault="setpoint is not a finite number")
     if (target.body_rates is None) == (target.attitude is None):
         return Checked(None, fault="setpoint needs either body rates or attitude")

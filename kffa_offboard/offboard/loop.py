@@ -256,7 +256,7 @@ def step_loop(
         pairs = zip(flown, _as_measured(settings, known, near), strict=True)
         flown = tuple(command if isfinite(command) else instead for command, instead in pairs)
     own = _NOTHING if order.controls() else autopilot_command(settings, known, time_us, near)
-    place = position_reference(loop.horizontal, order.directive)
+    place = None if loop.horizontal is None else position_reference(loop.horizontal, order.directive)
     if order.sending:
         trace = Trace(time_us, dt, place, measured, output, output.command, own)
         return _send(settings, loop, known, order, trace, flown)
@@ -276,15 +276,12 @@ def _step_controller(
         controller = vehicle.align_reference(parameters, controller)
     measured, new_position = _measurement(known), known.position.sample_time_us != loop.position_us
     new_position = new_position and not before_silence(settings.telemetry, known, dt)
-    horizontal, reference = step_horizontal(
-        settings.position,
-        loop.horizontal,
-        known,
-        order.directive,
-        order.controls() and not replayed,
-        new_position,
-        dt,
-    )
+    horizontal, reference = loop.horizontal, order.directive.reference
+    if horizontal is not None:
+        acting = order.controls() and not replayed
+        horizontal, reference = step_horizontal(
+            settings.position, horizontal, known, order.directive, acting, new_position, dt
+        )
     fresh = _FRESH if new_position else _FRESH_ATTITUDE
     inputs = PlainInput(reference, measured, fresh, _measured_rate(known))
     controller, output = vehicle.step(parameters, controller, inputs, dt)

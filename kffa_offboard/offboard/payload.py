@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from kffa_offboard.control import payload
 from kffa_offboard.offboard.events import Announce, Output, PayloadReport, Severity, Vector3
 from kffa_offboard.offboard.payload_settings import PayloadSettings
+from kffa_offboard.offboard.sequence import microseconds
 
 _SURE = 3.0  # standard deviations
 
@@ -165,7 +166,7 @@ def _estimate(
         settings.estimator, state.estimator, rate, tilt_factor, sample.fresh, sample.dt
     )
     load = Load(float(estimate.mass), float(estimate.std))
-    if sample.time_us - since_us < round(settings.settle_s * 1e6) and state.load is None:
+    if state.load is None and sample.time_us - since_us < microseconds(settings.settle_s):
         if isfinite(estimator.suspected) or sample.untimed:  # it has just changed: begin anew
             estimator = payload.accept(settings.estimator, estimator)
             state = replace(state, flying_since_us=sample.time_us)
@@ -233,7 +234,7 @@ def _watch_changes(
     if pick_up is None and isinf(state.estimator.suspected):
         told = load.mass + (state.told - load.mass) * exp(-sample.dt / TOLD_MEMORY_S)
         return replace(state, told=told), ()
-    if pick_up is None or time_us - pick_up.since_us < round(settings.announce_s * 1e6):
+    if pick_up is None or time_us - pick_up.since_us < microseconds(settings.announce_s):
         return state, ()
     text = f"picked up {load.mass - pick_up.before:.1f} kg"
     return replace(state, pick_up=None, told=load.mass), (Announce(Severity.NOTICE, text),)
@@ -253,7 +254,7 @@ def _believable(settings: PayloadSettings, state: Awareness, load: Load, change:
 def _watch_unrest(settings: PayloadSettings, state: Awareness, load: Load, time_us: int) -> _Told:
     """Say what is carried when changes can be believed again, if that is news."""
     assert state.unrest_us is not None
-    if time_us - state.unrest_us < round(CALM_S * 1e6):
+    if time_us - state.unrest_us < microseconds(CALM_S):
         return state, ()
     news = abs(load.mass - state.told) > max(2.0 * settings.estimator.detection.minimum, _SURE * load.std)
     state = replace(state, unrest_us=None, told=load.mass if news else state.told)
@@ -295,7 +296,7 @@ def _watch_limit(settings: PayloadSettings, state: Awareness, load: Load) -> _To
 
 
 def _report(settings: PayloadSettings, state: Awareness, load: Load, time_us: int) -> _Told:
-    period_us = round(1e6 / settings.report_hz)
+    period_us = microseconds(1.0 / settings.report_hz)
     if state.reported_us is not None and time_us - state.reported_us < period_us:
         return state, ()
     std = load.std if state.unrest_us is None else max(load.std, abs(load.mass - state.told))

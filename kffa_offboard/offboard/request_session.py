@@ -154,11 +154,12 @@ class RequestSession(PayloadSession):
         followed, self._followed = self._followed, None
         if directive.ground_thrust is not None:
             return directive
-        ground, (x, y), captured = self._flight.scenario.ground, self._centre or (0.0, 0.0), self._captured
-        roll, pitch, yaw, altitude = directive.reference
-        origin = (captured[0] - x, captured[1] - y)
-        place = (origin[0] + directive.offset[0], origin[1] + directive.offset[1])
-        held = None if self.settings.position is None else place
+        ground, (roll, pitch, yaw, altitude) = self._flight.scenario.ground, directive.reference
+        held, origin = None, (0.0, 0.0)
+        if self.settings.position is not None:
+            (x, y), captured = self._centre or (0.0, 0.0), self._captured
+            origin = (captured[0] - x, captured[1] - y)
+            held = (origin[0] + directive.offset[0], origin[1] + directive.offset[1])
         wish = Wish(roll, pitch, altitude - ground, held)
         before, since_us = (None, time_us) if followed is None or directive.align else followed
         safe, changed = check_wish(self.settings.limits, wish, before, (time_us - since_us) * 1e-6)

@@ -156,7 +156,7 @@ class Service(ControlSession):
         """The earlier one of a deadline and what is done when no telemetry comes."""
         settings, known = self.settings.telemetry, self._known
         attitude_us, position_us = known.attitude_stream.arrival_us, known.position_stream.arrival_us
-        if self._may_ask_again() and attitude_us is not None and position_us is not None:
+        if attitude_us is not None and position_us is not None and self._may_ask_again():
             older_us = attitude_us if attitude_us < position_us else position_us
             quiet_us = older_us + microseconds(QUIET_SHARE * settings.timeout_s)
             if quiet_us <= first[0] and self._asked_again_us <= first[0]:

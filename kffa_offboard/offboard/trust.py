@@ -135,9 +135,10 @@ def watch_attitude(
     flying: bool,
 ) -> tuple[Trust, str | None]:
     """Take in an accepted attitude; `flying`: in our hands and in the air."""
-    fastest = max(map(abs, event.body_rates))
-    if fastest > limits.attitude_rate_max_rad_s:
-        return trust, f"body rate {fastest:.3g} rad/s, {limits.attitude_rate_max_rad_s:g} possible"
+    (p, q, r), most = event.body_rates, limits.attitude_rate_max_rad_s
+    if abs(p) > most or abs(q) > most or abs(r) > most:
+        fastest = max(abs(p), abs(q), abs(r))
+        return trust, f"body rate {fastest:.3g} rad/s, {most:g} possible"
     before = trust.attitude
     delay, fault = _follow_delay(settings, before.delay, time_us, event.sample_time_us)
     still = _stand_still(before.still, (*event.attitude, *event.body_rates), time_us)
