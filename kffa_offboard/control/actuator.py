@@ -136,16 +136,15 @@ def shares(ages: tuple[float, ...], delay: Array, span: Array) -> Array:
 
 def shares_of_one(ages: tuple[float, ...], delay: float, span: float) -> list[tuple[int, float]]:
     """`shares` of one channel of one vehicle, without those that are zero: place and share, in order."""
-    found, ended = [], 0.0
-    for place in range(len(ages) - 1, -1, -1):
-        age = ages[place]
-        since = 0.0 if age <= delay else span if age - delay >= span else age - delay
+    found, since, place = [], span, 0  # the oldest has acted for longer, as far as is known
+    for younger in ages[1:]:
+        ended = 0.0 if younger <= delay else span if younger - delay >= span else younger - delay
         if since > ended:
             found.append((place, (since - ended) / span))
-        if since == span:
-            break
-        ended = since
-    return found[::-1]
+        if ended == 0.0:
+            return found
+        since, place = ended, place + 1
+    return [*found, (place, since / span)]
 
 
 @remember
