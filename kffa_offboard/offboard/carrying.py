@@ -56,7 +56,7 @@ def balancing(parameters: controllers.ControllerParameters, disturbance: Vector,
 
 
 def follow(state: Carrying | None, thrust: float, balance: float, dt: float) -> Carrying:
-    """Take in a setpoint `dt` s after the last one, and what balances then; None: the first."""
+    """The setpoint before has acted for `dt` s, and `balance` holds now; None: the first goes out."""
     if state is None:
         return Carrying(balance, thrust, thrust)
     keep = exp(-dt / LONG_S)

@@ -81,7 +81,15 @@ class LoopState(Struct, frozen=True, gc=False):
 
     def resent(self, target: AttitudeTarget, time_us: int) -> LoopState:
         """A setpoint went out at `time_us` without a control step."""
-        return replace(self, sent=target, sent_us=time_us)
+        carrying = self.carrying
+        if carrying is not None:
+            carrying = self.carrying_until(time_us, target.thrust, carrying.balance)
+        return replace(self, carrying=carrying, sent=target, sent_us=time_us)
+
+    def carrying_until(self, time_us: int, thrust: float, balance: float) -> Carrying:
+        """What carries when a setpoint with this `thrust` follows the last one."""
+        acted = thrust if self.sent is None else self.sent.thrust
+        return follow(self.carrying, acted, balance, (time_us - self.sent_us) * 1e-6)
 
 
 class Order(Struct, frozen=True, gc=False):
@@ -329,7 +337,7 @@ def _send(
         loop.altitude,
         loop.hold_altitude,
         sent[3] if flown is None else flown[3],
-        follow(loop.carrying, thrust, balancing(settings.controller, output.disturbance, thrust), since),
+        loop.carrying_until(time_us, thrust, balancing(settings.controller, output.disturbance, thrust)),
         checked.target,
         time_us,
         loop.blend,

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from kffa_offboard.offboard.events import AttitudeReceived, PositionReceived
+from kffa_offboard.offboard.events import AttitudeReceived, AttitudeTarget, PositionReceived
 from kffa_offboard.offboard.segments import Hold, Takeoff
 from kffa_offboard.offboard.service import State
 
@@ -50,3 +50,21 @@ def test_a_position_stream_that_is_late_for_good_is_still_used(climbing):
     assert known.attitude.sample_time_us - known.position.sample_time_us > 150_000
     assert loop.position_us == known.position.sample_time_us
     assert abs(loop.altitude - known.position.position[2]) < 0.15
+
+
+def test_the_first_setpoint_after_a_silence_has_not_acted_during_it(climbing):
+    """Thrust far below hover for one step weighed as much as the silence was long: it looked like a swing."""
+    climbing.run(20.0, lambda: climbing.vehicle.position > 7.9)
+    climbing.run(5.0)
+    climbing.mute = {AttitudeReceived, PositionReceived}
+    climbing.vehicle.weight = 0.7  # a load leaves unseen
+    before = len(climbing.sent(AttitudeTarget))
+    climbing.run(0.6)
+    climbing.mute = set()
+    climbing.tick()
+    *blind, (_, first) = climbing.sent(AttitudeTarget)[before:]
+    acted = [target.thrust for _, target in blind]
+    assert len(acted) >= 4 and first.thrust < 0.6 * min(acted)
+    assert climbing.service._loop.carrying.short == pytest.approx(acted[-1], rel=0.02)
+    climbing.run(0.3)
+    assert climbing.service._loop.carrying.short < 0.9 * acted[-1], "and from then on it acts"
