@@ -10,7 +10,7 @@ import math
 
 from sim_vehicle import airframe, attitude_loop
 from sim_vehicle.attitude_loop import Quaternion, Vector3, limit
-from sim_vehicle.attitude_mask import ATTITUDE_IGNORE, RATES_IGNORE, THROTTLE_IGNORE, YAW_RATE_IGNORE
+from sim_vehicle.attitude_mask import YAW_RATE_IGNORE
 from sim_vehicle.firmware import (
     IDLE,
     AttitudeSetpoint,
@@ -25,6 +25,7 @@ from sim_vehicle.flight_modes import Px4Mode
 from sim_vehicle.guidance import Estimate, Guidance
 from sim_vehicle.parameters import ParameterStore
 from sim_vehicle.personality_px4_gains import guidance, rate_gains
+from sim_vehicle.px4_offboard import OffboardSetpoints
 from sim_vehicle.rate_loop import RateGains
 
 COMMANDER_PERIOD_US = 20_000
@@ -60,8 +61,7 @@ class Px4Firmware(Firmware):
         self.mode = Px4Mode.LOITER
         self.intended = Px4Mode.LOITER
         self.terminated = False
-        self._setpoint: AttitudeSetpoint | None = None
-        self._setpoint_at_us = 0
+        self.setpoints = OffboardSetpoints()
         self._next_commander_us = 0
         self._attitude_thrust = 0.0
         self._takeoff_height = parameters["MIS_TAKEOFF_ALT"]
@@ -94,9 +94,8 @@ class Px4Firmware(Firmware):
     @property
     def stream_alive(self) -> bool:
         """An offboard setpoint came within COM_OF_LOSS_T."""
-        if self._setpoint is None:
-            return False
-        return self.since(self._setpoint_at_us) <= self.parameters["COM_OF_LOSS_T"]
+        came_us = self.setpoints.came_us
+        return came_us is not None and self.since(came_us) <= self.parameters["COM_OF_LOSS_T"]
 
     def set_custom_mode(self, custom_mode: int) -> Result:
         """Change the flight mode; TEMPORARILY_REJECTED if its needs are not met."""
@@ -168,30 +167,15 @@ class Px4Firmware(Firmware):
         return [(0.0, Result.IN_PROGRESS), (self.parameters["PD_GRIPPER_TO"], Result.ACCEPTED)]
 
     def accept_setpoint(self, setpoint: AttitudeSetpoint) -> None:
-        """SET_ATTITUDE_TARGET: attitude wins if given, rates only if all three are, anything else is refused.
-
-        A setpoint whose throttle is ignored has zero thrust.
-        """
-        mask = setpoint.type_mask
-        if mask & ATTITUDE_IGNORE and mask & RATES_IGNORE:
-            return
-        thrust = 0.0 if mask & THROTTLE_IGNORE or math.isnan(setpoint.thrust) else setpoint.thrust
-        values = setpoint.body_rates if mask & ATTITUDE_IGNORE else setpoint.attitude
-        if not all(math.isfinite(value) for value in values):
-            return
-        if not mask & ATTITUDE_IGNORE:
-            if math.hypot(*setpoint.attitude) < 1e-6:
-                return
-            attitude = attitude_loop.normalised(setpoint.attitude)
-            setpoint = setpoint._replace(attitude=attitude)
-        self._setpoint = setpoint._replace(thrust=thrust)
-        self._setpoint_at_us = self.time_us
+        """SET_ATTITUDE_TARGET."""
+        self.setpoints.accept(self.time_us, setpoint)
 
     # --------------------------------------------------------------------------- supervision
 
     def _supervise(self, estimate: Estimate, dt: float) -> None:
         if self.time_us >= self._next_commander_us:
             self._next_commander_us = self.time_us + COMMANDER_PERIOD_US
+            self.setpoints.look_up(self.time_us)
             self._watch_stream()
             self._auto_disarm()
         if self.mode == Px4Mode.TAKEOFF and self._climbing and self._takeoff_done(estimate):
@@ -199,7 +183,7 @@ class Px4Firmware(Firmware):
 
     def _watch_stream(self) -> None:
         if self.mode == Px4Mode.OFFBOARD:
-            if self.since(self._setpoint_at_us) > self.parameters["COM_OF_LOSS_T"] + LOSS_REACTION_S:
+            if self.since(self.setpoints.came_us or 0) > self.parameters["COM_OF_LOSS_T"] + LOSS_REACTION_S:
                 self._lose_stream()
         elif self.in_failsafe and self.intended == Px4Mode.OFFBOARD and self.stream_alive:
             self.in_failsafe = False
@@ -246,6 +230,7 @@ class Px4Firmware(Firmware):
             self.events.append(f"mode {mode.label}")
             self._takeoff_height = self.parameters["MIS_TAKEOFF_ALT"]
         self.mode = mode
+        self.setpoints.look_up(self.time_us, now=True)
         self._climbing = self._returning = False
         estimate = self.estimate
         self.guidance.engage(estimate, self._mean_thrust)
@@ -285,11 +270,10 @@ class Px4Firmware(Firmware):
         return self._fly_attitude(estimate, self.guidance.attitude_step(estimate, dt), thrust)
 
     def _fly_offboard(self, estimate: Estimate) -> RateDemand:
-        setpoint = self._setpoint
-        if setpoint is None:
-            return IDLE
-        if setpoint.type_mask & ATTITUDE_IGNORE:
-            return RateDemand(setpoint.body_rates, setpoint.thrust)
+        if not self.setpoints.attitude_counts:
+            return self.setpoints.rates or IDLE
+        setpoint = self.setpoints.attitude
+        assert setpoint is not None
         given = not setpoint.type_mask & YAW_RATE_IGNORE and math.isfinite(setpoint.body_rates[2])
         yaw_rate = setpoint.body_rates[2] if given else 0.0
         return self._fly_attitude(estimate, setpoint.attitude, setpoint.thrust, yaw_rate)

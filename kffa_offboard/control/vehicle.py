@@ -12,7 +12,7 @@ from typing import TypeAlias
 import numpy as np
 from msgspec.structs import replace
 
-from kffa_offboard.control import controllers, straight
+from kffa_offboard.control import actuator, controllers, straight
 from kffa_offboard.control.blocks import ControllerParameters, ControllerState
 from kffa_offboard.control.plain import (
     DISTURBANCE,
@@ -79,6 +79,13 @@ def with_applied(
         return controllers.with_applied(parameters, state, np.array(command), after)
     ages, commands = sent(state.ages, state.commands, command, after)
     return replace(state, ages=ages, commands=commands)
+
+
+def forecast(parameters: ControllerParameters, state: State, horizon: float) -> Vector:
+    """Mean command of each channel that will act during the coming `horizon` s if no other is sent."""
+    queue = as_arrays(state).actuator
+    ahead = np.full(len(queue.lagged), horizon)
+    return tuple(actuator.forecast(parameters.actuator, queue, ahead).tolist())
 
 
 def with_disturbance_step(

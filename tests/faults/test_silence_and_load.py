@@ -170,3 +170,14 @@ def test_silences_in_a_swing_do_not_end_control_whenever_they_begin(fault_flight
         assert gone.released_s is None, gone.texts
         most = limits.tilt_max_rad if resend_s == 0.1 else limits.tilt_failsafe_rad
         assert max(gone.tilts[len(flight.tilts) :]) < most
+
+
+@pytest.mark.parametrize("personality", ["px4", "ardupilot"])
+def test_what_happened_in_a_silence_is_answered_at_once_when_it_is_over(fault_flight, personality):
+    """A load leaves 0.2 s before its end. PX4 went back to body rates up to 0.5 s late, and rose by 2 m."""
+    flight = on_a_silent_link(fault_flight, personality, HOVER, 5.0)
+    for start_s in (1.0, 1.1, 1.2, 1.3, 1.4):
+        leaves = {start_s + 0.3: lambda vehicle: vehicle.set_load(0.0)}
+        silence = [Lose(start_s=start_s, duration_s=0.5)]
+        before, *heights = flight.fly_on(start_s + 2.5, down=silence, acts=leaves).heights[-250:]
+        assert max(heights) - before < 0.5

@@ -262,9 +262,9 @@ def fly(vehicle=None, output="rates", seconds=60.0, **changes):
     return flight
 
 
-def hovering(**changes):
+def hovering(firmware="px4", **changes):
     """Engaged at 3 m, in a long hold; what was sent until then is forgotten."""
-    flight = Lockstep(service_settings(scenario=(Hold(100.0),), **changes), airborne())
+    flight = Lockstep(service_settings(scenario=(Hold(100.0),), **changes), airborne(firmware=firmware))
     flight.run_to(State.ENGAGED)
     flight.run(1.0)
     flight.log.clear()

@@ -16,7 +16,7 @@ def blind(fake, output="rates", **vehicle):
     """Turning in the air when telemetry falls silent, which it may for 2 s."""
     settings = fake.settings(output)
     silent = replace(settings.telemetry, timeout_s=2.0, position_timeout_s=2.0)
-    flight = fake.hovering(output=output, controller=settings.controller, telemetry=silent)
+    flight = fake.hovering("ardupilot", output=output, controller=settings.controller, telemetry=silent)
     flight.vehicle.attitude[:] = 0.1, -0.05, 0.1
     flight.run(0.1)  # rates are asked for that take this back
     flight.mute = {events.AttitudeReceived, events.PositionReceived}

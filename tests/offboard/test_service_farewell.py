@@ -110,7 +110,7 @@ def test_only_a_setpoint_that_the_autopilot_follows_is_told_to_the_observer_in_a
     """Before OFFBOARD is granted level setpoints go out, too; what acts is the autopilot's own command."""
     settings = fake.settings(scenario=(Hold(100.0),))
     silent = replace(settings.telemetry, timeout_s=2.0, position_timeout_s=2.0)
-    vehicle = fake.airborne(grants_mode=granted)
+    vehicle = fake.airborne(firmware="ardupilot", grants_mode=granted)
     flight = fake.Lockstep(replace(settings, telemetry=silent), vehicle).run_to(State.ENGAGING)
     flight.run_to(State.ENGAGED if granted else State.ENGAGING).run(0.5)
     before = flight.service._loop

@@ -192,6 +192,33 @@ def test_the_rate_loop_has_an_integrator_that_takes_up_a_steady_torque(make_pilo
     assert mean_pitch_rate(0.2) < 0.4 * mean_pitch_rate(0.0)
 
 
+@pytest.mark.parametrize(("before", "after"), [(128, 7), (7, 128)])
+def test_a_setpoint_of_another_kind_counts_when_the_control_mode_is_looked_up(px4, before, after):
+    """Twice a second (Commander.cpp); real PX4 held the last thrust of rates for 0.5 s of level attitudes."""
+    px4.engage_in_flight()
+    waited = []
+    for number in range(4):
+        px4.run(0.6 + 0.13 * number, lambda: px4.setpoint(mask=before, thrust=0.36))
+        for step in range(80):
+            px4.run(0.01, lambda: px4.setpoint(mask=after, thrust=0.44))
+            if float(px4.vehicle.state.total_thrust) > 0.40 * 246.0:
+                waited.append(0.01 * (step + 1))
+                break
+    assert len(waited) == 4
+    assert 0.3 < max(waited) < 0.6
+    assert max(waited) - min(waited) > 0.2, "it depends on the moment"
+
+
+def test_offboard_begins_with_the_kind_that_is_streamed(px4):
+    px4.engage_in_flight()
+    px4.run(0.7, lambda: px4.setpoint(mask=7))
+    assert px4.ask(SET_MODE, 1, 4, 3) == ACCEPTED
+    px4.run(0.05, lambda: px4.setpoint(mask=128))
+    assert px4.ask(SET_MODE, 1, 6, 0) == ACCEPTED
+    px4.run(0.1, lambda: px4.setpoint(mask=128, thrust=0.5))
+    assert float(px4.vehicle.state.total_thrust) > 0.45 * 246.0
+
+
 def test_attitude_target_in_rate_mode_shows_the_thrust_of_the_attitude_setpoint(px4):
     px4.engage_in_flight()
     px4.run(0.2, lambda: px4.setpoint(mask=7, thrust=0.37))
