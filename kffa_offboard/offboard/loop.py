@@ -28,7 +28,13 @@ from kffa_offboard.offboard.horizontal import (
 )
 from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.telemetry import Telemetry, before_silence, reported_target, reported_thrust
+from kffa_offboard.offboard.telemetry import (
+    Telemetry,
+    altitude_now,
+    before_silence,
+    reported_target,
+    reported_thrust,
+)
 
 _FRESH = (True, True, True, True)
 _FRESH_ATTITUDE = (True, True, True, False)
@@ -157,7 +163,7 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
     """Start the controller at rest at the present measurement; None while a sample is missing."""
     if known.attitude is None or known.position is None:
         return None
-    measured = _measurement(known)
+    measured = _measurement(settings, known)
     applied = autopilot_command(settings, known, time_us, measured)
     controller = vehicle.initial_state(settings.controller, measured, applied)
     altitude, thrust = measured[3], applied[3]
@@ -172,9 +178,9 @@ def forget_sent(loop: LoopState) -> LoopState:
     return replace(loop, sent=None, blend=None, carrying=None)
 
 
-def _measurement(known: Telemetry) -> Vector:
-    assert known.attitude is not None and known.position is not None
-    return (*known.attitude.attitude, known.position.position[2])
+def _measurement(settings: ServiceSettings, known: Telemetry) -> Vector:
+    assert known.attitude is not None
+    return (*known.attitude.attitude, altitude_now(settings.telemetry, known))
 
 
 def _measured_rate(known: Telemetry) -> Vector:
@@ -282,8 +288,8 @@ def _step_controller(
     parameters, controller = settings.controller, loop.controller
     if order.directive.align:
         controller = vehicle.align_reference(parameters, controller)
-    measured, new_position = _measurement(known), known.position.sample_time_us != loop.position_us
-    new_position = new_position and not before_silence(settings.telemetry, known, dt)
+    measured, position_us = _measurement(settings, known), known.position.sample_time_us
+    new_position = position_us != loop.position_us and not before_silence(settings.telemetry, known, dt)
     horizontal, reference = loop.horizontal, order.directive.reference
     if horizontal is not None:
         acting = order.controls() and not replayed
@@ -296,7 +302,7 @@ def _step_controller(
     altitude, climb_rate = output.estimate[3], output.estimate_rate[3]
     loop = LoopState(  # by place, in a third of the time of `_replace`
         controller,
-        known.position.sample_time_us,
+        position_us,
         altitude,
         altitude + settings.reference_lag_s * climb_rate,
         loop.vertical_thrust,

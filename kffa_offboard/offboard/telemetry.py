@@ -176,6 +176,23 @@ def receive_position(
     return replace(known, position=newest, position_stream=stream, steady_since_us=steady_us), sample
 
 
+def altitude_now(settings: TelemetrySettings, known: Telemetry) -> float:
+    """Altitude at the time of the attitude sample, m: the position's, carried there by its climb rate.
+
+    The two are sampled at times of their own. In a climb at 1 m/s an altitude that is by turns 8 and 12 ms
+    older than the attitude moves by 4 mm from step to step, which the law answers with a tenth of hover
+    thrust. A position that is off by more than `late_max_s` is taken as it is.
+    """
+    assert known.attitude is not None and known.position is not None
+    altitude, age_us = (
+        known.position.position[2],
+        known.attitude.sample_time_us - known.position.sample_time_us,
+    )
+    if abs(age_us) > microseconds(settings.late_max_s):
+        return altitude
+    return altitude + known.position.velocity[2] * age_us * 1e-6
+
+
 def before_silence(settings: TelemetrySettings, known: Telemetry, dt: float) -> bool:
     """The position is from before a silence that the attitude, `dt` s after the last one, has just ended.
 

@@ -203,6 +203,16 @@ def test_whether_a_stream_is_slower_is_told_without_counting(arrivals, now, samp
     assert telemetry.slower(stream, samples, now_us) == (telemetry.rate_hz(stream, now_us) < samples)
 
 
+@pytest.mark.parametrize(
+    ("age_us", "carried"), [(0, 0.0), (12_000, 0.024), (-4_000, -0.008), (150_000, 0.3), (150_001, 0.0)]
+)
+def test_the_altitude_is_that_of_the_attitudes_time_unless_the_position_is_too_old(age_us, carried):
+    """It climbs at 2 m/s; a position counts as late from 0.15 s on."""
+    place = PositionReceived(1_000_000, (0.0, 0.0, 5.0), (0.0, 0.0, 2.0))
+    known = Telemetry(attitude=attitude(1_000_000 + age_us), position=place)
+    assert telemetry.altitude_now(SETTINGS, known) == pytest.approx(5.0 + carried, abs=1e-9)
+
+
 def test_an_old_report_of_the_autopilots_thrust_counts_no_more():
     known = telemetry.receive_throttle(Telemetry(), 0, ThrottleReported(0.3))
     known = telemetry.receive_target(known, 0, TargetReported(0, 0.4, None, None))
