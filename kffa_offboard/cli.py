@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import sys
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -244,9 +245,21 @@ def key(
     """Make a key for MAVLink 2 signing, in a file that only you can read; it is not shown."""
     from kffa_offboard.mavlink.signing_key import key_of_passphrase, write_new_key
 
-    words = typer.prompt("Passphrase", hide_input=True, confirmation_prompt=True) if passphrase else None
+    words = _asked_for_words() if passphrase else None
     write_new_key(file, None if words is None else key_of_passphrase(words))
     typer.echo(f"{file}: made, for you alone; give the vehicle and its ground stations the same key")
+
+
+def _asked_for_words() -> str:
+    """The passphrase, typed twice. Raises UserError if nobody is there to type it."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # getpass, of a terminal that is not there, beside its own words
+            return str(typer.prompt("Passphrase", hide_input=True, confirmation_prompt=True))
+    except typer.Abort as end:
+        if isinstance(end.__context__, EOFError):
+            raise UserError("--passphrase: nobody answered; run this at a terminal") from end
+        raise
 
 
 def _summary(config: DaemonConfig) -> str:

@@ -134,7 +134,12 @@ def compare(
     ] = 0.01,
     seed: Annotated[int, typer.Option(min=0, help="Of the noise of sensors.")] = 0,
     full: Annotated[
-        bool, typer.Option("--full", help="Other loads, a load off centre, 50 Hz and a slow link, too.")
+        bool,
+        typer.Option(
+            "--full",
+            help="Other loads, a load off centre, 50 Hz, a slow link and gusty wind, too; with a real PX4 "
+            "height from other sensors.",
+        ),
     ] = False,
     only: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Only this trial; may be repeated.")

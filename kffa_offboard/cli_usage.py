@@ -31,10 +31,14 @@ def _line(error: typer.BadParameter) -> str | None:
     from kffa_offboard.config_errors import finding
 
     option: Any = error.param
-    if option is None or not isinstance(error.__cause__, ValidationError):
+    if option is None:
+        return None
+    name = max(option.opts, key=len) if option.param_type_name == "option" else option.metavar
+    if error.message.endswith("is not readable."):
+        return f"{name}: {error.message.rstrip('.')}; chmod u+r it, or be the user who may read it"
+    if not isinstance(error.__cause__, ValidationError):
         return None
     detail = error.__cause__.errors()[0]
-    name = max(option.opts, key=len) if option.param_type_name == "option" else option.make_metavar(error.ctx)
     return f"{name} {detail['input']}: {finding(detail).rstrip('.')}{_range(option.min, option.max)}"
 
 

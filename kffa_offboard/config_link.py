@@ -53,6 +53,16 @@ class LinkTable(Table):
             raise ValueError(str(error).partition(": ")[2]) from error
         return url
 
+    @model_validator(mode="after")
+    def _is_not_the_vehicle(self) -> LinkTable:
+        ids = (self.system_id, self.component_id)
+        if ids == (self.target_system, self.target_component):
+            raise ValueError(
+                f"system_id = {ids[0]}, component_id = {ids[1]}: are those of the vehicle (target_system, "
+                "target_component), whose messages would be taken for our own; leave component_id at 191"
+            )
+        return self
+
 
 class SigningTable(Table):
     """`[signing]`: MAVLink 2 signing, off without `key_file`.

@@ -18,6 +18,7 @@ from rich.console import Console
 from sim_vehicle import config as configuration
 from sim_vehicle.backends.base import Backend
 from sim_vehicle.backends.choose import open_backend
+from sim_vehicle.cli_usage import EXIT_BAD_INPUT, OneLineGroup
 from sim_vehicle.config import SimConfig
 from sim_vehicle.errors import SimulatorError
 from sim_vehicle.truth import FIRST_LINE, TruthFile, TruthRecorder
@@ -25,11 +26,11 @@ from sim_vehicle.truth import FIRST_LINE, TruthFile, TruthRecorder
 LONGEST_S = 1e9
 """Most seconds of --duration; without it, the flight has no end."""
 
-EXIT_BAD_INPUT = 2
 EXIT_INTERRUPTED = 130
 EXIT_TERMINATED = 143
 
 app = typer.Typer(
+    cls=OneLineGroup,
     help="A simulated 10 kg quadrotor that picks up and drops loads, behind MAVLink, "
     "behaving as PX4 or as ArduCopter.",
     no_args_is_help=True,

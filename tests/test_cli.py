@@ -99,6 +99,27 @@ def test_a_wrong_value_of_an_option_is_one_line_with_value_limit_and_remedy(
     assert capsys.readouterr().err == f"error: {line}\n"
 
 
+@pytest.mark.parametrize(
+    ("arguments", "named"),
+    [(["run", "--config"], "--config"), (["replay"], "FLIGHT.tlog"), (["identify"], "LOG...")],
+)
+def test_a_file_that_may_not_be_read_is_one_line_with_its_name_and_the_remedy(
+    arguments: list[str],
+    named: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    file = tmp_path / "somebody_elses"
+    file.touch()
+    # What tests run as may read everything.
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.R_OK)
+    assert status_of(*arguments, str(file)) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert len(said) == 1
+    assert said[0].startswith(f"error: {named}: path '{file}' is not readable; chmod u+r it")
+
+
 def test_a_missing_option_is_said_with_the_usage(capsys: pytest.CaptureFixture[str]) -> None:
     assert status_of("run") == 2
     said = capsys.readouterr().err

@@ -297,6 +297,16 @@ def test_a_bad_link_is_refused_wherever_it_stands(file: Path, url: str) -> None:
         loaded(file, MINIMAL, Overrides(link=url))
 
 
+def test_the_daemon_is_not_the_vehicle(file: Path) -> None:
+    """As component 191 of the vehicle's system it is one of its parts, as component 1 its autopilot."""
+    ids = "[link]\nsystem_id = 1\ncomponent_id = 1\n"
+    assert complaint(file, MINIMAL.replace("[link]\n", ids)) == (
+        "link: system_id = 1, component_id = 1: are those of the vehicle (target_system, target_component), "
+        "whose messages would be taken for our own; leave component_id at 191"
+    )
+    assert loaded(file, MINIMAL.replace("[link]\n", "[link]\nsystem_id = 1\n")).link.system_id == 1
+
+
 def test_a_syntax_error_is_reported_with_its_line(file: Path) -> None:
     assert (
         complaint(file, "[link]\nurl = udpin\n") == "is not valid TOML: Invalid value (at line 2, column 7)"

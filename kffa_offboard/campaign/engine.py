@@ -42,7 +42,9 @@ def run_dask(campaign: Campaign, work: Sequence[Task], scheduler: str) -> Iterat
     another version of this program, or a task lost its worker again and again.
     """
     distributed = need("distributed", "--engine dask")
+    addressing = need("distributed.comm.addressing", "--engine dask")
     try:
+        addressing.get_address_host_port(scheduler)  # a client that was refused its address fails again later
         client = distributed.Client(scheduler, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise UserError(

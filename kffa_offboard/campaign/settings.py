@@ -153,6 +153,8 @@ def load_campaign(path: Path, controllers: tuple[ControllerName, ...] = ()) -> C
     `controllers` fly instead of the configuration's own. Raises ConfigError, one line for each problem.
     """
     document = read_toml(path)
+    if not document:
+        raise ConfigError(str(path), ["holds no key; leave it out for the bundled campaign"])
     if "control" in document and "campaign" not in document:
         use = "the daemon; name it in a campaign's file as campaign.config, or give it to `kffa-offboard run`"
         raise ConfigError(str(path), [f"is a configuration of {use}"])

@@ -139,10 +139,12 @@ HEIGHT_ENDINGS: dict[HeightSource, str] = {"range finder": "-range", "barometer"
 def trials(plan: ComparePlan) -> list[Trial]:
     """The flights of `plan`, in the order of the table."""
     chosen = _standard(plan.autopilot, plan.conditions)
-    if plan.firmware is None:  # the imitation has not all of the real one's gains
-        chosen = [trial for trial in chosen if not trial.tuned]
     if plan.full:
         chosen += _harder(plan.autopilot, plan.conditions)
+    if plan.firmware is None:  # the imitation has not all of the real one's gains, and one height
+        chosen = [
+            trial for trial in chosen if not trial.tuned and trial.conditions.height_source == "default"
+        ]
     if plan.join is not None:
         chosen = [_as_it_is(trial) for trial in chosen if _can_be_joined(plan, plan.join, trial)]
     if plan.only:

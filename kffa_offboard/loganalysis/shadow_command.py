@@ -13,7 +13,7 @@ from rich.table import Table
 
 from kffa_offboard.control.controllers import CHANNELS
 from kffa_offboard.loganalysis.link_quality import StreamQuality
-from kffa_offboard.loganalysis.output_files import make_directory, write_text
+from kffa_offboard.loganalysis.output_files import make_directory, refuse_others, write_text
 from kffa_offboard.loganalysis.read import read_log
 from kffa_offboard.loganalysis.shadow import Shadow, shadow
 
@@ -22,6 +22,8 @@ def run_shadow(
     log: Path, config: Path | None, vehicle_mass_kg: float | None, as_json: bool, out: Path | None
 ) -> int:
     """Do it and return the exit status, 0."""
+    if out is not None:
+        refuse_others(out / "shadow.csv", [log], begins="time_s,")
     found = shadow(read_log(log), config)
     if out is not None:
         make_directory(out)

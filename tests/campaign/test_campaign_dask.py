@@ -100,6 +100,18 @@ def test_no_scheduler_or_no_worker_is_said_in_a_line(
 
 
 @pytest.mark.timeout(300)
+@pytest.mark.parametrize("address", ["10.0.0.1", "localhost:x", "dask://10.0.0.1:8786"])
+def test_what_is_no_address_is_said_and_no_client_is_made_for_it(
+    address: str, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client that could not begin shows a traceback when it is forgotten."""
+    monkeypatch.setattr(distributed, "Client", lambda *args, **kwargs: pytest.fail("a client was made"))
+    with pytest.raises(
+        UserError, match=rf"--scheduler {address}: no Dask scheduler answers \(.*tcp://HOST:8786"
+    ):
+        next(run_dask(campaign, list(tasks(campaign, 1, 1)), address))
+
+
 def test_a_worker_of_another_version_is_refused(
     scheduler: str, campaign: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

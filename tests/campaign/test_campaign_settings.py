@@ -74,6 +74,14 @@ def test_the_digest_names_all_that_decides_and_not_the_number_of_flights(campaig
     assert gains != load_campaign(bundled("campaign.toml")).digest("kffa-ladrc")
 
 
+def test_an_empty_file_is_no_campaign(tmp_path: Path) -> None:
+    (tmp_path / "empty.toml").touch()
+    with pytest.raises(
+        ConfigError, match=r"empty\.toml: holds no key; leave it out for the bundled campaign"
+    ):
+        load_campaign(tmp_path / "empty.toml")
+
+
 def test_a_configuration_of_the_daemon_is_called_so_in_one_line() -> None:
     with pytest.raises(ConfigError) as refused:
         load_campaign(bundled("demo-px4.toml"))

@@ -50,6 +50,15 @@ def test_names_of_trials_are_theirs_alone() -> None:
     assert len(names) == len(set(names))
 
 
+@pytest.mark.parametrize("autopilot", ["px4", "ardupilot"])
+def test_the_imitation_flies_no_row_whose_gains_or_sensors_it_has_not(autopilot: str) -> None:
+    """It flew "tuned gains, range finder" with its stock gains and its usual height."""
+    real, imitated = trials(plan(autopilot)), trials(replace(plan(autopilot), firmware=None))
+    named = ("tuned", "range finder", "barometer")
+    assert imitated == [trial for trial in real if not any(word in trial.label for word in named)]
+    assert len(imitated) < len(real)
+
+
 def test_a_slower_link_is_told_to_every_observer(tmp_path: Path) -> None:
     setup = Setup("px4", Path("firmware"), tmp_path)
     running = Simulation("udpout:127.0.0.1:9", 21, tmp_path / "truth.csv", 0.0, ())

@@ -201,6 +201,27 @@ def test_no_command_writes_its_results_over_what_it_has_not_written(
     assert mine.read_bytes() == before
 
 
+def test_shadow_writes_its_table_over_an_older_one_and_over_nothing_else(
+    log_files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    config = str(Path(__file__).parents[2] / "configs" / "demo-px4.toml")
+    arguments = ["shadow", str(log_files["ulog"]), "--out", str(tmp_path), "--config", config]
+    table, mine = tmp_path / "shadow.csv", "date,hours of shadow\n"
+    table.write_text(mine, encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(arguments)
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.startswith(
+        f"error: --out {table}: is there and begins with 'date,ho', not "
+    )
+    assert table.read_text(encoding="utf-8") == mine
+    table.write_text("time_s,measured_roll\n", encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        cli.main(arguments)
+    assert ended.value.code == 0
+    assert table.stat().st_size > 1000
+
+
 def test_identify_writes_its_model_over_an_older_model_and_into_an_empty_file(
     log_files: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -139,6 +139,13 @@ def test_the_command_makes_the_key_of_a_passphrase(tmp_path):
     assert read_key(path).reveal() == hashlib.sha256(b"mavlink").digest()
 
 
+def test_a_passphrase_that_nobody_types_makes_no_key(tmp_path, capsys):
+    path = tmp_path / "words.key"
+    with pytest.raises(UserError, match=r"--passphrase: nobody answered; run this at a terminal"):
+        CliRunner().invoke(app, ["key", str(path), "--passphrase"], input="", catch_exceptions=False)
+    assert not path.exists()
+
+
 def test_two_keys_are_different(tmp_path):
     for name in ("a", "b"):
         write_new_key(tmp_path / name)

@@ -60,6 +60,8 @@ def test_options_choose_personality_and_links():
         (["--personality", "cleanflight"], "vehicle.personality = 'cleanflight': not a choice"),
         (["--link", "udpin:localhost"], "link.endpoints = 'udpin:localhost': not of the form"),
         (["--seed", "-3"], "vehicle.seed = -3: too small"),
+        (["--seed", "x"], "--seed x: must be a whole number"),
+        (["--speedup", "fast"], "--speedup fast: must be a number"),
         (["--duration", "0"], "--duration 0: not above zero"),
         (["--duration", "inf"], "--duration inf: above 1e+09; give seconds of simulated time"),
         (["--link", ANY, "--truth", str(CONFIG)], f"--truth {CONFIG}: is there and holds no true states"),
@@ -72,6 +74,15 @@ def test_bad_input_is_one_line_and_status_2(arguments, error):
     assert result.stdout == ""
     assert result.stderr.startswith("error: ")
     assert error in result.stderr
+    assert result.stderr.count("\n") == 1
+
+
+def test_a_file_that_may_not_be_read_is_one_line_and_status_2(monkeypatch):
+    # What tests run as may read everything.
+    monkeypatch.setattr(os, "access", lambda path, mode: not mode & os.R_OK)
+    result = run("--config", str(CONFIG))
+    assert result.exit_code == 2
+    assert result.stderr.startswith(f"error: --config: path '{CONFIG}' is not readable; chmod u+r it")
     assert result.stderr.count("\n") == 1
 
 
