@@ -30,7 +30,7 @@ from kffa_offboard.loganalysis.mass import (
     track_mass,
 )
 from kffa_offboard.loganalysis.record import Array, FlightRecord
-from kffa_offboard.offboard.settings import LimitSettings, OutputKind
+from kffa_offboard.offboard.settings import LimitSettings, OutputKind, TelemetrySettings
 
 MOST_STEPS_PER_S = 100.0
 """Faster logs are thinned out to this: the daemon itself never runs faster."""
@@ -186,8 +186,9 @@ def _inputs(
     held = np.searchsorted(record.attitude.time_s, times, side="right") - 1
     attitude = angles[held]
     index = np.searchsorted(record.position.time_s, times, side="right") - 1
-    height = record.position.values[index, 2]
-    climb = record.velocity.held(times)[:, 2]
+    climb, age = record.velocity.held(times)[:, 2], times - record.position.time_s[index]
+    carried = np.where(age <= TelemetrySettings().late_max_s, age * climb, 0.0)  # as `telemetry.altitude_now`
+    height = record.position.values[index, 2] + carried
     body = record.body_rates.held(times) if record.body_rates else np.zeros((len(times), 3))
     rates = body_rates_to_euler_rates(attitude.T, body.T).T
     factor = np.cos(attitude[:, 0]) * np.cos(attitude[:, 1])

@@ -99,7 +99,6 @@ def test_no_scheduler_or_no_worker_is_said_in_a_line(
         next(run_dask(campaign, work, scheduler))
 
 
-@pytest.mark.timeout(300)
 @pytest.mark.parametrize("address", ["10.0.0.1", "localhost:x", "dask://10.0.0.1:8786"])
 def test_what_is_no_address_is_said_and_no_client_is_made_for_it(
     address: str, campaign: Campaign, monkeypatch: pytest.MonkeyPatch
@@ -112,6 +111,7 @@ def test_what_is_no_address_is_said_and_no_client_is_made_for_it(
         next(run_dask(campaign, list(tasks(campaign, 1, 1)), address))
 
 
+@pytest.mark.timeout(300)
 def test_a_worker_of_another_version_is_refused(
     scheduler: str, campaign: Campaign, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
