@@ -17,12 +17,12 @@ class Controlling(Protocol):
     def has_control(self) -> bool:
         """Setpoints may be what flies the vehicle."""
 
-    def last_setpoint(self) -> AttitudeTarget | None:
-        """The one to end with, if the end were now."""
+    def last_setpoints(self) -> tuple[AttitudeTarget, ...]:
+        """Those to end with, if the end were now."""
 
 
 class FramedLastWords:
-    """The last setpoint (`offboard.farewell`), framed but not sent; `clock` is that of its events."""
+    """The last setpoints (`offboard.farewell`), framed but not sent; `clock` is that of their events."""
 
     def __init__(self, service: Controlling, link: Link, route: Route, clock: Clock) -> None:
         self._service = service
@@ -37,12 +37,11 @@ class FramedLastWords:
         return self._service.has_control
 
     def posting(self) -> Posting | None:
-        """The setpoint and its way; None if there is nothing to say, or nobody to say it to."""
-        target = self._service.last_setpoint()
-        if target is None:
-            return None
+        """The setpoints, together, and their way; None if there is nothing to say, or nobody to say it to."""
+        targets = self._service.last_setpoints()
         try:
-            message = attitude_target(self._route, target, self._clock())
+            messages = [attitude_target(self._route, target, self._clock()) for target in targets]
         except EncodingError:
             return None  # the session would not send it either
-        return self._link.posting(self._component.pack(message))
+        frames = b"".join(self._component.pack(message) for message in messages)
+        return self._link.posting(frames) if frames else None

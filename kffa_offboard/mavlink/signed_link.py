@@ -162,7 +162,8 @@ class SignedLink:
     def posting(self, data: bytes) -> Posting | None:
         """See `transport.Link`. Signed as on another link, or what goes out here would make it look old."""
         self._spare.timestamp = max(self._spare.timestamp, self._signer.timestamp)
-        return self._link.posting(self._spare.sign(data, self._clock()))
+        frames = [self._spare.sign(frame, self._clock()) for frame in _split(data)[0]]
+        return self._link.posting(b"".join(frames))
 
     def lock(self, source: Hashable) -> None:
         """See `transport.Link`."""

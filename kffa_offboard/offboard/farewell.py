@@ -43,6 +43,22 @@ def farewell(
     return () if checked is None else (checked,)
 
 
+def last_words(
+    settings: ServiceSettings, loop: LoopState | None, flight: FlightState | None, known: Telemetry
+) -> tuple[AttitudeTarget, ...]:
+    """What somebody else says for a daemon that is gone: that of `farewell`.
+
+    Nobody asks for another mode then. So PX4 under body rates is told first to turn no more, which it follows
+    until it notices the attitude.
+    """
+    words = farewell(settings, loop, flight, known)
+    if not words or loop is None or not _keeps_to_rates(settings, known):
+        return words
+    still = AttitudeTarget(0.0, body_rates=(0.0, 0.0, 0.0))
+    checked = _with_thrust(settings, loop, flight, known, still)
+    return words if checked is None else (checked, *words)
+
+
 def _keeps_to_rates(settings: ServiceSettings, known: Telemetry) -> bool:
     """An attitude counts only half a second later."""
     px4 = known.heartbeat is not None and known.heartbeat.firmware == "px4"

@@ -22,7 +22,7 @@ from kffa_offboard.offboard.events import (
     Severity,
 )
 from kffa_offboard.offboard.external import External
-from kffa_offboard.offboard.farewell import farewell
+from kffa_offboard.offboard.farewell import farewell, last_words
 from kffa_offboard.offboard.flight import (
     Ending,
     FlightState,
@@ -320,9 +320,11 @@ class Session:
         """Setpoints may be what flies the vehicle."""
         return self.state in SENDING
 
-    def last_setpoint(self) -> AttitudeTarget | None:
-        """That of `last_words`, while nothing ends yet; None where they have none."""
-        return next(iter(self._farewell()), None) if self.state in SENDING else None
+    def last_setpoints(self) -> tuple[AttitudeTarget, ...]:
+        """What somebody else is to send if this process is gone; nothing where `last_words` have none."""
+        if self.state not in SENDING or not self._farewell():
+            return ()
+        return last_words(self.settings, self._loop, self._flight, self._known)
 
     def last_words(self) -> list[Output]:
         """The process ends in the middle of control: one level setpoint, whatever else is due.

@@ -24,11 +24,11 @@ LEVEL = AttitudeTarget(0.4, attitude=(0.0, 0.0, 0.3))
 class Service:
     has_control = True
 
-    def __init__(self, target=LEVEL):
-        self.target = target
+    def __init__(self, *targets):
+        self.targets = targets
 
-    def last_setpoint(self):
-        return self.target
+    def last_setpoints(self):
+        return self.targets
 
 
 class Wire:
@@ -42,8 +42,8 @@ class Wire:
         return True
 
 
-def words(link, target=LEVEL):
-    return FramedLastWords(Service(target), link, Route(), lambda: NOW_US)
+def words(link, *targets):
+    return FramedLastWords(Service(*(targets or (LEVEL,))), link, Route(), lambda: NOW_US)
 
 
 def test_it_is_one_whole_setpoint_of_ours():
@@ -56,8 +56,19 @@ def test_it_is_one_whole_setpoint_of_ours():
 
 
 def test_nothing_is_framed_where_there_is_nothing_to_say():
-    assert words(Wire(), None).posting() is None
+    assert FramedLastWords(Service(), Wire(), Route(), lambda: NOW_US).posting() is None
     assert words(Wire(), AttitudeTarget(1.5, attitude=(0.0, 0.0, 0.0))).posting() is None
+
+
+@pytest.mark.parametrize("signs", [False, True])
+def test_two_setpoints_go_in_one_datagram_in_their_order(signs):
+    """PX4 is told not to turn on before it is told to be level."""
+    link = SignedLink(Wire(), Signer(KEY), Signer(KEY), lambda: NOW_US) if signs else Wire()
+    data = words(link, AttitudeTarget(0.4, body_rates=(0.0, 0.0, 0.0)), LEVEL).posting().data
+    parser = mavlink.MAVLink(None)
+    if signs:
+        parser.signing.secret_key, parser.signing.sign_outgoing = bytes(range(32)), True
+    assert [message.type_mask for message in parser.parse_buffer(data)] == [128, 7]
 
 
 def udp(url):

@@ -125,13 +125,14 @@ def test_what_would_be_said_last_is_known_while_in_control_and_only_then(fake):
     flight = fake.Lockstep(fake.settings(scenario=(Hold(100.0),)), fake.airborne())
     flight.run(0.1)
     assert flight.service.state is State.WAITING
-    assert not flight.service.has_control and flight.service.last_setpoint() is None
+    assert not flight.service.has_control and flight.service.last_setpoints() == ()
     flight.run_to(State.ENGAGED)
     flight.run(1.0)
-    target = flight.service.last_setpoint()
+    still, target = flight.service.last_setpoints()
+    assert still == AttitudeTarget(target.thrust, body_rates=(0.0, 0.0, 0.0)), "PX4 sees the attitude later"
     assert flight.service.has_control
     assert target.attitude == (0.0, 0.0, pytest.approx(0.0, abs=1e-3)) and target.body_rates is None
     assert target.thrust == pytest.approx(fake.hover, abs=0.01)
     assert flight.service.state is State.ENGAGED
     assert flight.service.last_words()[0] == target
-    assert not flight.service.has_control and flight.service.last_setpoint() is None
+    assert not flight.service.has_control and flight.service.last_setpoints() == ()
