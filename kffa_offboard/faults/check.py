@@ -1,7 +1,8 @@
 """What must hold in every flight, whatever is broken: judged from what was sent and said, not by the guard.
 
 - every setpoint is finite, within limits, and no farther from the one before than its limit of change allows;
-- none leaves after control was given up, but for the one level setpoint that ends it;
+- none leaves after control was given up, but for the one level setpoint that ends it (to PX4 under body
+  rates behind one of no rates);
 - while setpoints leave, telemetry is no older than its timeouts;
 - why control was given up is on the wire (STATUSTEXT), which the log records.
 """
@@ -96,8 +97,10 @@ def sudden_changes(limits: LimitSettings, heard: Heard) -> list[str]:
     What has passed between two is the time on our clock or on the autopilot's, whichever is more: samples
     that come in a bunch are answered in a bunch. Bounds go before changes: thrust may go to its lower
     bound at once, and beyond the largest tilt a rate that tilts further ends at once. The level setpoint
-    that ends control is of another kind and has its thrust at once.
+    that ends control is of another kind and has its thrust at once, and so has one that ends all turning at
+    the same moment before it.
     """
+    ended_us = {time_us for time_us, item in heard if isinstance(item, AttitudeTarget) and item.attitude}
     found: list[str] = []
     last: tuple[int, int, AttitudeTarget] | None = None
     attitude: AttitudeReceived | None = None
@@ -109,7 +112,8 @@ def sudden_changes(limits: LimitSettings, heard: Heard) -> list[str]:
         if not isinstance(item, AttitudeTarget) or attitude is None:
             continue
         sample_us = attitude.sample_time_us
-        if last is not None and (last[2].attitude is None) == (item.attitude is None):
+        ends = time_us in ended_us and item.body_rates == (0.0, 0.0, 0.0)
+        if last is not None and (last[2].attitude is None) == (item.attitude is None) and not ends:
             dt = max(time_us - last[0], sample_us - last[1], 0) * 1e-6
             steep = hypot(*attitude.attitude[:2]) > limits.tilt_max_rad
             found += [

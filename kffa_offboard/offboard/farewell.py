@@ -31,7 +31,9 @@ LEVEL_S = 0.5
 def farewell(
     settings: ServiceSettings, loop: LoopState | None, flight: FlightState | None, known: Telemetry
 ) -> tuple[AttitudeTarget, ...]:
-    """One setpoint, or none if nothing was sent yet or the vehicle stands on the ground.
+    """The last setpoint, level; none if nothing was sent yet or the vehicle stands on the ground.
+
+    PX4 under body rates is told first to turn no more, which it follows until it notices the attitude.
 
     Thrust is what balances the vehicle with its load (`carrying`); while thrust is ramped up or down near the
     ground, or where touch-down shows already, no more than was sent last.
@@ -39,24 +41,11 @@ def farewell(
     if loop is None or known.attitude is None:
         return ()
     level = AttitudeTarget(0.0, attitude=(0.0, 0.0, known.attitude.attitude[2]))
-    checked = _with_thrust(settings, loop, flight, known, level)
-    return () if checked is None else (checked,)
-
-
-def last_words(
-    settings: ServiceSettings, loop: LoopState | None, flight: FlightState | None, known: Telemetry
-) -> tuple[AttitudeTarget, ...]:
-    """What somebody else says for a daemon that is gone: that of `farewell`.
-
-    Nobody asks for another mode then. So PX4 under body rates is told first to turn no more, which it follows
-    until it notices the attitude.
-    """
-    words = farewell(settings, loop, flight, known)
-    if not words or loop is None or not _keeps_to_rates(settings, known):
-        return words
-    still = AttitudeTarget(0.0, body_rates=(0.0, 0.0, 0.0))
-    checked = _with_thrust(settings, loop, flight, known, still)
-    return words if checked is None else (checked, *words)
+    words = [level]
+    if _keeps_to_rates(settings, known):
+        words = [AttitudeTarget(0.0, body_rates=(0.0, 0.0, 0.0)), level]
+    checked = [_with_thrust(settings, loop, flight, known, word) for word in words]
+    return tuple(word for word in checked if word is not None)
 
 
 def _keeps_to_rates(settings: ServiceSettings, known: Telemetry) -> bool:

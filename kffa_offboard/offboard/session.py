@@ -22,7 +22,7 @@ from kffa_offboard.offboard.events import (
     Severity,
 )
 from kffa_offboard.offboard.external import External
-from kffa_offboard.offboard.farewell import farewell, last_words
+from kffa_offboard.offboard.farewell import farewell
 from kffa_offboard.offboard.flight import (
     Ending,
     FlightState,
@@ -321,10 +321,8 @@ class Session:
         return self.state in SENDING
 
     def last_setpoints(self) -> tuple[AttitudeTarget, ...]:
-        """What somebody else is to send if this process is gone; nothing where `last_words` have none."""
-        if self.state not in SENDING or not self._farewell():
-            return ()
-        return last_words(self.settings, self._loop, self._flight, self._known)
+        """Those of `last_words`, while nothing ends yet: for others to send if this process is gone."""
+        return self._farewell() if self.state in SENDING else ()
 
     def last_words(self) -> list[Output]:
         """The process ends in the middle of control: one level setpoint, whatever else is due.

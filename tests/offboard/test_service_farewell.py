@@ -33,7 +33,8 @@ def test_the_last_setpoint_keeps_the_heading_that_the_vehicle_has(fake):
     flight = fake.hovering(output="rates")
     flight.vehicle.attitude = np.array([0.0, 0.0, 0.2])
     flight.run(0.03)
-    last, _ = flight.service.last_words()
+    still, last, _ = flight.service.last_words()
+    assert still == AttitudeTarget(last.thrust, body_rates=(0.0, 0.0, 0.0)), "PX4 sees the attitude later"
     assert flight.vehicle.attitude[2] > 0.1
     assert last.attitude == pytest.approx((0.0, 0.0, flight.vehicle.attitude[2]), abs=0.03)
 
@@ -66,7 +67,7 @@ def test_a_program_that_fails_in_the_middle_of_a_step_still_has_last_words(fake,
         flight.run(1.0)
     with pytest.raises(ZeroDivisionError):
         flight.run(1.0)
-    last, said = flight.service.last_words()
+    _, last, said = flight.service.last_words()
     assert last.body_rates is None and last.attitude[:2] == (0.0, 0.0)
     assert last.thrust == pytest.approx(fake.hover, rel=0.02)
     assert (said.severity, said.text) == (events.Severity.CRITICAL, "failsafe: the daemon ended")
@@ -88,8 +89,8 @@ def test_the_last_setpoint_at_the_end_of_a_landing_is_not_raised_to_the_least_th
     least = flight.service.settings.limits.thrust_min
     assert flight.run(3.0, lambda: flight.thrusts[-1] < 0.8 * least)
     before = flight.thrusts[-1]
-    last, _ = flight.service.last_words()
-    assert 0.0 < last.thrust <= before < least
+    still, last, _ = flight.service.last_words()
+    assert 0.0 < last.thrust <= before < least and still.thrust == last.thrust
 
 
 def test_there_is_no_farewell_on_the_ground_nor_to_a_pilot_who_took_over(fake):
@@ -134,5 +135,5 @@ def test_what_would_be_said_last_is_known_while_in_control_and_only_then(fake):
     assert target.attitude == (0.0, 0.0, pytest.approx(0.0, abs=1e-3)) and target.body_rates is None
     assert target.thrust == pytest.approx(fake.hover, abs=0.01)
     assert flight.service.state is State.ENGAGED
-    assert flight.service.last_words()[0] == target
+    assert flight.service.last_words()[:2] == [still, target]
     assert not flight.service.has_control and flight.service.last_setpoints() == ()

@@ -326,7 +326,8 @@ def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeyp
 
     monkeypatch.setattr(vehicle, "step", broken)
     flight.tick()
-    assert [target.attitude[:2] for _, target in flight.sent(AttitudeTarget)] == [(0.0, 0.0)]
+    still, level = (target for _, target in flight.sent(AttitudeTarget))
+    assert still.body_rates == (0.0, 0.0, 0.0) and level.attitude[:2] == (0.0, 0.0)
     assert_failsafe(flight, "setpoint is not a finite number")
 
 
