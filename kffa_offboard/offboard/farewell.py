@@ -93,16 +93,16 @@ def fly_blind(
     `acting`; an autopilot that levels does without rates soon.
     """
     assert loop.sent is not None
-    level = _level(settings, loop, flight, known, time_us)
-    if level is None:
+    target = _level(settings, loop, flight, known, time_us)
+    if target is None:
         return loop.resent(loop.sent, time_us), loop.sent
-    target = level
     if acting:
         assert known.attitude is not None and known.attitude_stream.arrival_us is not None
         attitude, (near, _, _) = known.attitude.attitude, vehicle.estimates(loop.controller)
+        acts = target
         if settings.output == "rates" and target.body_rates is None:
-            level = level_target(settings, attitude[2], target.thrust)
-        calm = command_of(settings, attitude, level, near)
+            acts = level_target(settings, attitude[2], target.thrust)
+        calm = command_of(settings, attitude, acts, near)
         after = (time_us - known.attitude_stream.arrival_us) * 1e-6
         told = vehicle.with_applied(settings.controller, loop.controller, calm, after)
         loop = replace(loop.with_controller(told), vertical_thrust=calm[3])

@@ -325,7 +325,7 @@ class Session:
         return self._farewell() if self.state in SENDING else ()
 
     def last_words(self) -> list[Output]:
-        """The process ends in the middle of control: one level setpoint, whatever else is due.
+        """The process ends in the middle of control: the last setpoint, whatever else is due.
 
         Nothing is worked out for it, so that it can be had from a program that has just failed.
         """
