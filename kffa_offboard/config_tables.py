@@ -73,6 +73,7 @@ class TelemetryTable(Table):
     repeated_samples_max: Annotated[int, Field(ge=1, le=10000)] = _TELEMETRY.repeated_samples_max
     frozen_time_s: Timeout = _TELEMETRY.frozen_time_s
     late_max_s: Timeout = _TELEMETRY.late_max_s
+    estimate_invalid_s: Timeout = _TELEMETRY.estimate_invalid_s
 
 
 class LimitsTable(Table):

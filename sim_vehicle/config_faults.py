@@ -43,6 +43,17 @@ class Gust(Section):
     velocity_m_s: tuple[Number, Number, Number] = (12.0, 0.0, 0.0)
 
 
+class SatelliteLoss(Section):
+    """From `start_s` for `duration_s` (None: for good) the estimator has no satellites.
+
+    Its speed over ground drifts by `drift_m_s2` (x, y) from the true one, and its place with it.
+    """
+
+    start_s: NotNegative
+    duration_s: NotNegative | None = None
+    drift_m_s2: tuple[Number, Number] = (0.05, 0.0)
+
+
 class FaultsSection(Section):
     """[faults]: each a list; times in seconds since power-up."""
 
@@ -50,3 +61,4 @@ class FaultsSection(Section):
     weak_motor: tuple[WeakMotor, ...] = ()
     battery_sag: tuple[BatterySag, ...] = ()
     gust: tuple[Gust, ...] = ()
+    satellite_loss: tuple[SatelliteLoss, ...] = ()

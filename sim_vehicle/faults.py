@@ -1,4 +1,4 @@
-"""What the faults of the configuration do to motor commands and wind; pure functions of time."""
+"""What the faults of the configuration do to motors, wind and estimate; pure functions of time."""
 
 from __future__ import annotations
 
@@ -35,3 +35,13 @@ def wind(faults: FaultsSection, time_s: float) -> Array:
         if gust.start_s <= time_s < gust.start_s + gust.duration_s:
             total += gust.velocity_m_s
     return total
+
+
+def without_satellites(faults: FaultsSection, time_s: float) -> Array | None:
+    """Error (4,) of the estimated x, y [m], vx and vy [m/s]; None while there are satellites."""
+    for loss in faults.satellite_loss:
+        lost_s = time_s - loss.start_s
+        if lost_s >= 0.0 and (loss.duration_s is None or lost_s < loss.duration_s):
+            drift = np.array(loss.drift_m_s2)
+            return np.concatenate((0.5 * lost_s**2 * drift, lost_s * drift))
+    return None

@@ -88,7 +88,10 @@ class Readiness(NamedTuple):
 
 
 class Firmware(ABC):
-    """One autopilot. `step` once per control period; commands in between."""
+    """One autopilot. `step` once per control period; commands in between.
+
+    `killed` is its pilot's kill switch (ArduCopter's emergency stop): armed, and motors that stand still.
+    """
 
     autopilot: int
     """MAV_AUTOPILOT."""
@@ -102,6 +105,8 @@ class Firmware(ABC):
     """Hold position."""
     low_thrust_share: float = 0.5
     """Thrust below this share of hover thrust counts as low for the land detector."""
+    reckoning_s: float
+    """How long the estimator believes its own reckoning when there are no satellites [s]."""
 
     def __init__(
         self, parameters: ParameterStore, body: airframe.AirframeParameters, readiness: Readiness
@@ -115,6 +120,8 @@ class Firmware(ABC):
         self.flown = False
         self.landed_at_us = 0
         self.in_failsafe = False
+        self.killed = False
+        self._satellites_us = 0
         self.home: Vector3 | None = None
         self.estimate = Estimate(0, ZERO, ZERO, ZERO, ZERO, 0.0)
         self.land = land_detector.LandState()
@@ -202,6 +209,8 @@ class Firmware(ABC):
         self.time_us = estimate.time_us
         if self.parameters.revision != self._revision:
             self._refresh()
+        if estimate.satellites:
+            self._satellites_us = estimate.time_us
         if self.home is None and self.position_ready:
             self.home = estimate.position
         self._supervise(estimate, dt)
@@ -212,6 +221,8 @@ class Firmware(ABC):
         demand = self._fly(estimate, dt)
         self._watch_ground(estimate, demand, dt)
         self.motor_commands = self._motors(demand, estimate, dt)
+        if self.killed:
+            self.motor_commands = [0.0, 0.0, 0.0, 0.0]
         return self.motor_commands
 
     def _refresh(self) -> None:
@@ -317,9 +328,14 @@ class Firmware(ABC):
         return self.time_us >= self.readiness.attitude_us
 
     @property
-    def position_ready(self) -> bool:
-        """The estimator has a position."""
+    def settled(self) -> bool:
+        """The estimator has a height, and has had a position: it is sent, whatever becomes of it."""
         return self.time_us >= self.readiness.position_us
+
+    @property
+    def position_ready(self) -> bool:
+        """The estimator has a position, and has not reckoned without satellites for too long."""
+        return self.settled and self.since(self._satellites_us) <= self.reckoning_s
 
     @property
     def height_above_home(self) -> float:

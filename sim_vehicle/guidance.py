@@ -26,7 +26,8 @@ TARGET_LEAD = 1.0
 class Estimate(NamedTuple):
     """What the autopilot's sensors and estimator say, in the paper's axes, SI units and radians.
 
-    `climb_acceleration` is the accelerometer along world z without gravity (0 at rest).
+    `climb_acceleration` is the accelerometer along world z without gravity (0 at rest). `satellites`: they
+    are there, and place and speed over ground are more than reckoning.
     """
 
     time_us: int
@@ -35,6 +36,7 @@ class Estimate(NamedTuple):
     euler: tuple[float, float, float]
     body_rates: tuple[float, float, float]
     climb_acceleration: float
+    satellites: bool = True
 
     @property
     def attitude(self) -> Quaternion:

@@ -163,7 +163,7 @@ class MavlinkServer:
         builder = telemetry.BUILDERS.get(message_id)
         if builder is None:
             return None
-        if message_id in telemetry.NEED_POSITION and not self.firmware.position_ready:
+        if message_id in telemetry.SENT_WHEN_SETTLED and not self.firmware.settled:
             return None
         return builder(sample or telemetry.Sample(self.firmware, self.estimate))
 

@@ -31,6 +31,9 @@ from sim_vehicle.rate_loop import ZERO, RateGains
 ARMING_DELAY_S = 2.0
 """After arming the outputs stay low this long, then MOT_SPOOL_TIME follows (ARMING_DELAY_SEC)."""
 
+EKF_CHECKS_S = 1.0
+"""Ten checks in a row have to find no position (ekf_check.cpp)."""
+
 SHORTEST_TIMEOUT_S = 0.1
 """Least value of GUID_TIMEOUT that is heeded."""
 
@@ -60,6 +63,7 @@ class ArduCopterFirmware(Firmware):
     autopilot = 3
     mode: CopterMode
     land_mode, return_mode, hold_mode = CopterMode.LAND, CopterMode.RTL, CopterMode.LOITER
+    reckoning_s = 7.0  # from SIM_GPS1_ENABLE 0 to an invalid position, measured
 
     def __init__(
         self, parameters: ParameterStore, body: airframe.AirframeParameters, readiness: Readiness
@@ -179,6 +183,7 @@ class ArduCopterFirmware(Firmware):
         if self._gripper_text and self.time_us >= self._gripper_text[0]:
             self._announce(Severity.INFO, self._gripper_text[1])
             self._gripper_text = None
+        self._watch_position()
         if not self.armed or not self.land.landed:
             return
         quiet_since = max(self.armed_at_us, self.landed_at_us) if self.flown else self.armed_at_us
@@ -187,6 +192,13 @@ class ArduCopterFirmware(Firmware):
         waited = delay > 0.0 and self.since(quiet_since) >= delay and self.thrust <= 0.0
         if (landing and self.flown) or waited:
             self._set_armed(False, "")
+
+    def _watch_position(self) -> None:
+        """FS_EKF_ACTION 1: what needs a position lands without one (ekf_check.cpp)."""
+        lost = self.settled and self.since(self._satellites_us) > self.reckoning_s + EKF_CHECKS_S
+        if lost and self.armed and self.mode in _NEED_POSITION and self.parameters["FS_EKF_ACTION"] >= 1.0:
+            self._announce(Severity.CRITICAL, "EKF failsafe: changed to LAND Mode", "position lost")
+            self._switch(CopterMode.LAND)
 
     def _switch(self, mode: CopterMode) -> None:
         """Enter `mode`, or the present one afresh."""

@@ -53,6 +53,7 @@ class Px4Firmware(Firmware):
     autopilot = 12
     mode: Px4Mode
     land_mode, return_mode, hold_mode = Px4Mode.LAND, Px4Mode.RTL, Px4Mode.LOITER
+    reckoning_s = 4.0  # from EKF2_GPS_CTRL 0 to an invalid position, measured
 
     def __init__(
         self, parameters: ParameterStore, body: airframe.AirframeParameters, readiness: Readiness
@@ -177,6 +178,7 @@ class Px4Firmware(Firmware):
             self._next_commander_us = self.time_us + COMMANDER_PERIOD_US
             self.setpoints.look_up(self.time_us)
             self._watch_stream()
+            self._watch_position()
             self._auto_disarm()
         if self.mode == Px4Mode.TAKEOFF and self._climbing and self._takeoff_done(estimate):
             self._finish_takeoff()
@@ -189,6 +191,14 @@ class Px4Firmware(Firmware):
             self.in_failsafe = False
             self._announce(Severity.INFO, "Offboard signal regained", "offboard regained")
             self._switch(Px4Mode.OFFBOARD)
+
+    def _watch_position(self) -> None:
+        """What needs a position descends without one; OFFBOARD by attitudes or rates needs none."""
+        lost = self.mode in _NEED_POSITION and self.settled and not self.position_ready
+        if lost and self.armed and not self.in_failsafe:
+            self.in_failsafe = True
+            self._announce(Severity.CRITICAL, "Failsafe activated: position lost", "position lost")
+            self._switch(Px4Mode.LAND)
 
     def _lose_stream(self) -> None:
         self.in_failsafe = True
@@ -203,7 +213,8 @@ class Px4Firmware(Firmware):
             self._disarm("by failsafe")
             self._switch(Px4Mode.LOITER)
         else:
-            self._switch(_LOSS_ACTIONS.get(action, Px4Mode.LAND))
+            wanted = _LOSS_ACTIONS.get(action, Px4Mode.LAND)
+            self._switch(wanted if self._possible(wanted) else Px4Mode.LAND)
 
     def _auto_disarm(self) -> None:
         if not (self.armed and self.land.landed):
@@ -264,7 +275,7 @@ class Px4Firmware(Firmware):
             level = attitude_loop.from_euler(0.0, 0.0, estimate.euler[2])
             return self._fly_attitude(estimate, level, thrust)
         thrust = self._tilt_compensated(self.guidance.height_step(estimate, dt))
-        if self.mode == Px4Mode.ALTCTL:
+        if self.mode == Px4Mode.ALTCTL or not self.position_ready:
             level = attitude_loop.from_euler(0.0, 0.0, self.guidance.yaw)
             return self._fly_attitude(estimate, level, thrust)
         return self._fly_attitude(estimate, self.guidance.attitude_step(estimate, dt), thrust)

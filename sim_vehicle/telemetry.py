@@ -87,7 +87,10 @@ def _within(value: float, bound: int) -> int:
 
 
 def _heartbeat(s: Sample) -> Message:
-    if s.firmware.in_failsafe:
+    px4 = s.firmware.autopilot == mavlink.MAV_AUTOPILOT_PX4  # ArduCopter does not tell
+    if px4 and s.firmware.killed:
+        status = mavlink.MAV_STATE_FLIGHT_TERMINATION
+    elif s.firmware.in_failsafe:
         status = mavlink.MAV_STATE_CRITICAL
     else:
         status = mavlink.MAV_STATE_ACTIVE if s.firmware.armed else mavlink.MAV_STATE_STANDBY
@@ -164,7 +167,7 @@ def _global_position(s: Sample) -> Message:
 def _gps_raw(s: Sample) -> Message:
     latitude, longitude = latitude_longitude(s.estimate.position)
     x, y, _ = s.estimate.velocity
-    ready = s.firmware.position_ready
+    ready = s.firmware.settled and s.estimate.satellites
     return mavlink.MAVLink_gps_raw_int_message(
         s.estimate.time_us,
         mavlink.GPS_FIX_TYPE_3D_FIX if ready else mavlink.GPS_FIX_TYPE_NO_FIX,
@@ -284,13 +287,13 @@ def _servo_output(s: Sample) -> Message:
 
 def _estimator(s: Sample) -> Message:
     flags = mavlink.ESTIMATOR_ATTITUDE if s.firmware.attitude_ready else 0
+    if s.firmware.settled:
+        flags |= mavlink.ESTIMATOR_VELOCITY_VERT | mavlink.ESTIMATOR_POS_VERT_ABS
     if s.firmware.position_ready:
         flags |= (
             mavlink.ESTIMATOR_VELOCITY_HORIZ
-            | mavlink.ESTIMATOR_VELOCITY_VERT
             | mavlink.ESTIMATOR_POS_HORIZ_REL
             | mavlink.ESTIMATOR_POS_HORIZ_ABS
-            | mavlink.ESTIMATOR_POS_VERT_ABS
         )
     return mavlink.MAVLink_estimator_status_message(
         s.estimate.time_us, flags, 0.1, 0.1, 0.1, 0.1, 0.0, 0.0, 0.3, 0.3
@@ -299,13 +302,13 @@ def _estimator(s: Sample) -> Message:
 
 def _ekf_report(s: Sample) -> Message:
     flags = mavlink.EKF_ATTITUDE if s.firmware.attitude_ready else mavlink.EKF_UNINITIALIZED
+    if s.firmware.settled:
+        flags |= mavlink.EKF_VELOCITY_VERT | mavlink.EKF_POS_VERT_ABS
     if s.firmware.position_ready:
         flags |= (
             mavlink.EKF_VELOCITY_HORIZ
-            | mavlink.EKF_VELOCITY_VERT
             | mavlink.EKF_POS_HORIZ_REL
             | mavlink.EKF_POS_HORIZ_ABS
-            | mavlink.EKF_POS_VERT_ABS
             | mavlink.EKF_PRED_POS_HORIZ_REL
             | mavlink.EKF_PRED_POS_HORIZ_ABS
         )
@@ -389,11 +392,11 @@ BUILDERS: Mapping[int, Builder] = {
 PX4_ONLY = frozenset({ProtocolVersion.id, CURRENT_MODE})
 """Messages that ArduPilot does not have."""
 
-NEED_POSITION = frozenset(
+SENT_WHEN_SETTLED = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED,
         mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT,
         mavlink.MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN,
     }
 )
-"""Not sent before the estimator has a position."""
+"""Not sent before the estimator has a position; then, whether or not it is still valid."""

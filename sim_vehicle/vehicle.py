@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from sim_vehicle import airframe
+from sim_vehicle import airframe, faults
 from sim_vehicle.config import SimConfig
 from sim_vehicle.firmware import Firmware, Readiness
 from sim_vehicle.frames import wrapped
@@ -163,9 +163,14 @@ class SimulatedVehicle:
         acceleration = (climb_rate - self._climb_rate) / self.plant.dt
         self._climb_rate = climb_rate
         noisy = airframe.with_noise(self._deviations, rigid, self._sensor_generator)
+        lost = faults.without_satellites(self.config.faults, self.time_us * 1e-6)
+        if lost is not None:
+            noisy[[0, 1, 3, 4]] += lost
         x, y, z, vx, vy, vz, roll, pitch, yaw, p, q, r = noisy.tolist()
         euler = (wrapped(roll), wrapped(pitch), wrapped(yaw))
-        return Estimate(self.time_us, (x, y, z), (vx, vy, vz), euler, (p, q, r), acceleration)
+        return Estimate(
+            self.time_us, (x, y, z), (vx, vy, vz), euler, (p, q, r), acceleration, satellites=lost is None
+        )
 
     def _record(self) -> None:
         self.plant.record(self.firmware.armed, self.firmware.mode_name)

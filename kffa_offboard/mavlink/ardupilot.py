@@ -46,6 +46,7 @@ _DATA_STREAMS = (
     (mavlink.MAV_DATA_STREAM_EXTRA1, mavlink.MAVLINK_MSG_ID_ATTITUDE),
     (mavlink.MAV_DATA_STREAM_POSITION, mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED),
     (mavlink.MAV_DATA_STREAM_EXTRA2, mavlink.MAVLINK_MSG_ID_VFR_HUD),
+    (mavlink.MAV_DATA_STREAM_EXTRA3, mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT),
 )
 """REQUEST_DATA_STREAM of firmware without SET_MESSAGE_INTERVAL: a group, and its message that we want."""
 
@@ -68,6 +69,7 @@ class ArduPilot(Autopilot):
     """
 
     firmware = "ardupilot"
+    estimate_message = mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT
 
     def __init__(self, route: Route, telemetry: TelemetryDecoder, guided_mode: GuidedMode = "guided") -> None:
         super().__init__(route, telemetry, guided_mode)

@@ -57,10 +57,12 @@ class Autopilot(ABC):
     Attributes
     ----------
     mode_message : number of the message by which a change of mode is known soonest
+    estimate_message : number of the message that says which parts of the estimate are valid
     """
 
     firmware: ClassVar[Firmware]
     mode_message: ClassVar[int] = mavlink.MAVLINK_MSG_ID_HEARTBEAT
+    estimate_message: ClassVar[int]
 
     def __init__(self, route: Route, telemetry: TelemetryDecoder, guided_mode: GuidedMode = "guided") -> None:
         self._route = route
@@ -123,7 +125,8 @@ class Autopilot(ABC):
         self._custom_mode = message.custom_mode
         kind, name = self.mode_of(message.custom_mode)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
-        return HeartbeatReceived(self.firmware, kind, name, message.custom_mode, armed)
+        killed = message.system_status == mavlink.MAV_STATE_FLIGHT_TERMINATION
+        return HeartbeatReceived(self.firmware, kind, name, message.custom_mode, armed, killed)
 
     def _command_answer(self, message: Message) -> list[Event]:
         if not self._route.addresses_us(message.target_system, message.target_component):
@@ -175,6 +178,7 @@ class Autopilot(ABC):
             mavlink.MAVLINK_MSG_ID_ATTITUDE_TARGET: request.target_hz,
             mavlink.MAVLINK_MSG_ID_VFR_HUD: request.status_hz,
             mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE: request.status_hz,
+            self.estimate_message: request.status_hz,
             self.mode_message: request.heartbeat_hz,
         }
         for rate in rates.values():

@@ -46,6 +46,7 @@ def line_load(telemetry: TelemetrySettings, signals_hz: float, *, signed: bool) 
         + rate(telemetry.target_hz, mavlink.MAVLink_attitude_target_message)
         + rate(telemetry.status_hz, mavlink.MAVLink_vfr_hud_message)
         + rate(telemetry.status_hz, mavlink.MAVLink_extended_sys_state_message)
+        + rate(telemetry.status_hz, mavlink.MAVLink_estimator_status_message)
         + rate(telemetry.heartbeat_hz, mavlink.MAVLink_heartbeat_message)
     )
     named = [mavlink.MAVLink_named_value_float_message] * _NAMED_VALUES

@@ -7,6 +7,7 @@ modules/commander/px4_custom_mode.h.
 from __future__ import annotations
 
 from msgspec.structs import replace
+from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from kffa_offboard.frame_codec import CURRENT_MODE
 from kffa_offboard.mavlink.autopilot import Autopilot, GuidedMode
@@ -71,6 +72,7 @@ class Px4(Autopilot):
 
     firmware = "px4"
     mode_message = CURRENT_MODE  # SET_MESSAGE_INTERVAL for HEARTBEAT fails in every mode of the link
+    estimate_message = mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS
 
     def __init__(self, route: Route, telemetry: TelemetryDecoder, guided_mode: GuidedMode = "guided") -> None:
         super().__init__(route, telemetry, guided_mode)

@@ -16,6 +16,7 @@ from kffa_offboard.mavlink.component import Message
 from kffa_offboard.offboard.events import (
     AttitudeReceived,
     BatteryReported,
+    EstimateReported,
     Event,
     LandedStateReported,
     PositionReceived,
@@ -35,6 +36,8 @@ _IGNORE_RATES = (
     | mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_PITCH_RATE_IGNORE
     | mavlink.ATTITUDE_TARGET_TYPEMASK_BODY_YAW_RATE_IGNORE
 )
+_SOME_HEIGHT = mavlink.ESTIMATOR_POS_VERT_ABS | mavlink.ESTIMATOR_POS_VERT_AGL
+_SOME_PLACE = mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS
 
 
 class BootClock:
@@ -108,6 +111,8 @@ class TelemetryDecoder:
             "VFR_HUD": throttle,
             "EXTENDED_SYS_STATE": landed_state,
             "SYS_STATUS": battery,
+            "ESTIMATOR_STATUS": estimate,
+            "EKF_STATUS_REPORT": estimate,
             "STATUSTEXT": self._status_text,
         }
 
@@ -169,6 +174,21 @@ def throttle(message: Message) -> list[Event]:
 def battery(message: Message) -> list[Event]:
     """What is left in the battery; nothing if the autopilot does not know."""
     return [BatteryReported(float(message.battery_remaining))] if message.battery_remaining >= 0 else []
+
+
+def estimate(message: Message) -> list[Event]:
+    """Of PX4's ESTIMATOR_STATUS or ArduPilot's EKF_STATUS_REPORT, which have these flags in common.
+
+    PX4 clears the horizontal ones when it has reckoned without satellites (or a camera) for EKF2_NOAID_TOUT.
+    """
+    flags = message.flags
+    return [
+        EstimateReported(
+            attitude=bool(flags & mavlink.ESTIMATOR_ATTITUDE),
+            height=bool(flags & mavlink.ESTIMATOR_VELOCITY_VERT and flags & _SOME_HEIGHT),
+            position=bool(flags & mavlink.ESTIMATOR_VELOCITY_HORIZ and flags & _SOME_PLACE),
+        )
+    ]
 
 
 def landed_state(message: Message) -> list[Event]:

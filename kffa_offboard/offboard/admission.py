@@ -20,7 +20,7 @@ import numpy as np
 from kffa_offboard.control import vehicle
 from kffa_offboard.control.blocks import ControllerParameters
 from kffa_offboard.control.observer import ObserverParameters
-from kffa_offboard.offboard import telemetry
+from kffa_offboard.offboard import doubt, telemetry
 from kffa_offboard.offboard.course import course_problem
 from kffa_offboard.offboard.events import BatteryReported, LinkMeasured
 from kffa_offboard.offboard.loop import LoopState
@@ -64,11 +64,17 @@ def refusal(
     """Why control must not be taken, or None."""
     return (
         telemetry.not_ready(settings.telemetry, known, time_us)
+        or doubted(settings, known, time_us)
         or unsettled(known, loop)
         or slow(settings, known, time_us)
         or late(settings, telemetry.latency_on_arrival_s(known, link, time_us), link, LATENCY_TO_ENGAGE)
         or empty(settings.limits, battery)
     )
+
+
+def doubted(settings: ServiceSettings, known: Telemetry, time_us: int, for_s: float = 0.0) -> str | None:
+    """What control needs and the autopilot has called invalid for `for_s` at least."""
+    return doubt.doubted(known.doubt, time_us, for_s, needs_position=settings.position is not None)
 
 
 def unsettled(known: Telemetry, loop: LoopState | None) -> str | None:
@@ -192,8 +198,11 @@ def empty(limits: LimitSettings, battery: BatteryReported | None) -> str | None:
 
 
 def outside_fence(limits: LimitSettings, known: Telemetry, centre: tuple[float, float] | None) -> str | None:
-    """The vehicle is farther than the fence allows from `centre`, m: where control was taken."""
-    if centre is None or known.position is None:
+    """The vehicle is farther than the fence allows from `centre`, m: where control was taken.
+
+    Where it is cannot be told while the autopilot calls its position invalid.
+    """
+    if centre is None or known.position is None or known.doubt.position_us is not None:
         return None
     x, y, _ = known.position.position
     away = hypot(x - centre[0], y - centre[1])

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 from kffa_offboard.offboard import admission, events, parameters, sequence, telemetry
 from kffa_offboard.offboard.events import ModeKind, SetArmed, SetMode, Severity
+from kffa_offboard.offboard.falling import shows
 from kffa_offboard.offboard.flight import Phase, begin_flight, start_scenario
 from kffa_offboard.offboard.loop import forget_sent
 from kffa_offboard.offboard.rivals import forbids
 from kffa_offboard.offboard.segments import Land, starts_on_ground
 from kffa_offboard.offboard.sequence import Engagement, EngagePhase, EngageStep
-from kffa_offboard.offboard.session import Session
-from kffa_offboard.offboard.state import IDLE, REFUSED, Finished, State
+from kffa_offboard.offboard.state import IDLE, REFUSED, SENDING, Finished, State
+from kffa_offboard.offboard.telemetry_session import TelemetrySession
 
 
-class EngageSession(Session):
+class EngageSession(TelemetrySession):
     """The part of the service that takes control; use `service.Service`."""
 
     __slots__ = ()
@@ -134,6 +135,10 @@ class EngageSession(Session):
 
     def _follow_heartbeat(self, time_us: int, event: events.HeartbeatReceived) -> None:
         """What a heartbeat means for the present state."""
+        if event.killed and self.state in SENDING:
+            self._killed()
+            if self.state not in SENDING:
+                return
         offboard = event.mode is ModeKind.OFFBOARD
         match self.state:
             case State.ENGAGING:
@@ -159,6 +164,15 @@ class EngageSession(Session):
                     self._finish(self._outcome)
             case _:
                 pass
+
+    def _killed(self) -> None:
+        """A kill switch: in a fall the law goes on, to catch the vehicle if it is let again; else not."""
+        if shows(self._fall):
+            self._say_once(Severity.WARNING, "kill switch: the motors are stopped")
+            return
+        if self._engagement is not None:
+            self._undo_arming(self._engagement)
+        self._take_over("kill switch")
 
     def _disarmed_in_flight(self) -> None:
         """The autopilot's own disarming after landing is no surprise; any other is somebody's decision."""

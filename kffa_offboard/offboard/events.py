@@ -44,13 +44,17 @@ class Severity(Enum):
 
 
 class HeartbeatReceived(Struct, frozen=True, gc=False):
-    """The autopilot is alive: its firmware, flight mode and arming state."""
+    """The autopilot is alive: its firmware, flight mode and arming state.
+
+    `killed`: its motors are stopped, by a kill switch (it is still armed) or for good.
+    """
 
     firmware: Firmware
     mode: ModeKind
     mode_name: str
     custom_mode: int
     armed: bool
+    killed: bool = False
 
 
 class AttitudeReceived(Struct, frozen=True, gc=False):
@@ -94,6 +98,17 @@ class BatteryReported(Struct, frozen=True, gc=False):
     """SYS_STATUS: what is left in the battery, percent."""
 
     remaining_percent: float
+
+
+class EstimateReported(Struct, frozen=True, gc=False):
+    """What the autopilot says of its own estimate: which parts of it are valid.
+
+    `height` stands for the climb rate, too, `position` for place and speed over ground.
+    """
+
+    attitude: bool
+    height: bool
+    position: bool
 
 
 class CommandAnswered(Struct, frozen=True, gc=False):
@@ -202,6 +217,7 @@ Event: TypeAlias = (
     | ThrottleReported
     | LandedStateReported
     | BatteryReported
+    | EstimateReported
     | CommandAnswered
     | StatusReceived
     | ParametersChecked

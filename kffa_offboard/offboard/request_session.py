@@ -38,6 +38,8 @@ class RequestSession(PayloadSession):
                 self._on_link_measured(time_us, event)
             case events.BatteryReported():
                 self._on_battery(event)
+            case events.EstimateReported():
+                self._on_estimate(time_us, event)
             case PositionSetpoint() | AttitudeSetpoint():
                 self._on_setpoint(time_us, event)
             case events.ParametersChecked():

@@ -14,8 +14,8 @@ Rules, each kept in one place:
 - after giving up control nothing is sent until somebody asks again (PX4 would return to OFFBOARD).
 
 `engage_session.py` and `session.py` hold the other half, taking and giving back control;
-`control_session.py` the control step; `payload_session.py` gripper and load; `request_session.py` what
-others ask for.
+`telemetry_session.py` what is asked of telemetry, and what it says beside its samples; `control_session.py`
+the control step; `payload_session.py` gripper and load; `request_session.py` what others ask for.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from kffa_offboard.offboard import admission, echo, events, telemetry, trust
 from kffa_offboard.offboard.control_session import ControlSession
 from kffa_offboard.offboard.events import Event, Output, SetArmed, SetMode, Severity
 from kffa_offboard.offboard.farewell import fly_blind
-from kffa_offboard.offboard.flight import AIR
 from kffa_offboard.offboard.horizontal import astray, position_jump
 from kffa_offboard.offboard.loop import begin_loop
 from kffa_offboard.offboard.sequence import (
@@ -42,7 +41,7 @@ from kffa_offboard.offboard.sequence import (
     retry_due,
 )
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.state import CONTROLLING, ENGAGED, IDLE, READY, SENDING, WAITING, Finished, State
+from kffa_offboard.offboard.state import ENGAGED, IDLE, READY, SENDING, WAITING, Finished, State
 
 __all__ = ["Finished", "Service", "State"]
 
@@ -70,7 +69,6 @@ class Service(ControlSession):
         if flown is not None:
             self._flown = flown
         self._earliest: Deadline | None = None
-        self._asked_again, self._asked_again_us = 0, 0
 
     def handle(self, time_us: int, event: Event) -> list[Output]:
         """Run the deadlines up to `time_us`, then the event; return what is to be sent.
@@ -189,45 +187,6 @@ class Service(ControlSession):
             self._emit(events.OwnHeartbeat("active" if self.state in SENDING else "standby"))
         self._own_heartbeat_us = time_us + microseconds(self.settings.sequence.own_heartbeat_s)
 
-    def _check_rates(self, time_us: int) -> None:
-        """While not flying, ask again if too little arrives; say so when asking has not helped."""
-        wanted = self.settings.telemetry
-        self._request_us = time_us + microseconds(wanted.request_interval_s)
-        if self.state not in IDLE or not telemetry.too_slow(wanted, self._known, time_us):
-            return
-        if self._requests < wanted.request_limit:
-            self._request_rates(time_us)
-            return
-        self._say_once(Severity.WARNING, telemetry.too_slow_text(wanted, self._known, time_us))
-
-    def _may_ask_again(self) -> bool:
-        """For message rates in flight: a ground station behind the same router may have changed them."""
-        return self.state in CONTROLLING and self._asked_again < self.settings.telemetry.request_limit
-
-    def _ask_again(self, time_us: int) -> None:
-        """Telemetry becomes slow in flight: it would end control within a second."""
-        self._asked_again += 1
-        self._asked_again_us = time_us + microseconds(self.settings.telemetry.request_interval_s)
-        self._say_once(Severity.WARNING, "telemetry slows down: asked for it again")
-        self._emit_rates()
-
-    def _request_rates(self, time_us: int) -> None:
-        self._requests += 1
-        self._request_us = time_us + microseconds(self.settings.telemetry.request_interval_s)
-        self._emit_rates()
-
-    def _emit_rates(self) -> None:
-        wanted = self.settings.telemetry
-        self._emit(
-            events.RequestMessageRates(
-                wanted.attitude_hz,
-                wanted.position_hz,
-                wanted.target_hz,
-                wanted.status_hz,
-                wanted.heartbeat_hz,
-            )
-        )
-
     def _resend(self, time_us: int) -> None:
         """Something is to be heard while no telemetry comes: PX4 wants 2 Hz."""
         assert self._loop is not None
@@ -298,6 +257,8 @@ class Service(ControlSession):
             if not fits:
                 self._known = trust.pass_over(before)
                 self._say_once(Severity.WARNING, "climb rate jumps: sample passed over")
+            elif fault is None:
+                self._watch_fall(event)
         if fault is not None:
             self._fault(time_us, fault)
         else:
@@ -348,19 +309,20 @@ class Service(ControlSession):
             if outside is not None:
                 self._failsafe(time_us, outside)
 
-    def _flying(self) -> bool:
-        """In our hands and in the air."""
-        return self.state in SENDING and self._flight is not None and self._flight.phase is AIR
-
     def _try_ready(self, time_us: int) -> None:
         if (
-            self._loop is not None
-            and self._parameters.complete
-            and telemetry.not_ready(self.settings.telemetry, self._known, time_us) is None
-            and admission.slow(self.settings, self._known, time_us) is None
+            self._loop is None
+            or not self._parameters.complete
+            or telemetry.not_ready(self.settings.telemetry, self._known, time_us) is not None
+            or admission.slow(self.settings, self._known, time_us) is not None
         ):
-            self.state = State.READY
-            self._say(Severity.INFO, "ready")
+            return
+        doubt = admission.doubted(self.settings, self._known, time_us)
+        if doubt is not None:
+            self._say_once(Severity.WARNING, f"not ready: {doubt}")
+            return
+        self.state = State.READY
+        self._say(Severity.INFO, "ready")
 
     # -------------------------------------------------------------------------- answers
 

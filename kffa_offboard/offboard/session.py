@@ -1,7 +1,8 @@
 """Giving control back: what the offboard service knows, and how it releases or fails.
 
 The half of `service.Service` that decides; the other half (`service.py`) keeps time and makes the
-control steps. Everything that changes `state` is here and in `engage_session.py`, except waiting -> ready.
+control steps. Everything that changes `state` is here and in `engage_session.py`, except between waiting
+and ready.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from kffa_offboard.offboard.events import (
     Severity,
 )
 from kffa_offboard.offboard.external import External
+from kffa_offboard.offboard.falling import NO_FALL, carried_before
 from kffa_offboard.offboard.farewell import farewell
 from kffa_offboard.offboard.flight import (
     Ending,
@@ -81,6 +83,7 @@ class Session:
         self._latency_s = nan
         self._battery: events.BatteryReported | None = None
         self._trust = Trust()
+        self._fall = NO_FALL
         self._rivals = Rivals()
         self._echo = Echo()
         self._centre: tuple[float, float] | None = None
@@ -373,7 +376,10 @@ class Session:
     def _farewell(self) -> tuple[AttitudeTarget, ...]:
         if self._engagement is not None and not sequence.mode_granted(self._engagement):
             return ()  # the autopilot does not listen to ours yet
-        return farewell(self.settings, self._loop, self._flight, self._known)
+        loop = self._loop
+        if loop is not None:
+            loop = replace(loop, carrying=carried_before(self._fall, loop.carrying))
+        return farewell(self.settings, loop, self._flight, self._known)
 
     def _failsafe_request(self) -> SetMode | SetArmed | None:
         """On the ground disarm what was armed here; in the air the configured mode, if any.

@@ -45,6 +45,7 @@ class TelemetrySettings:
     repeated_samples_max : samples in a row whose clock does not advance
     frozen_time_s : longest time in the air without any change of a value while the clock goes on
     late_max_s : how much later samples may come than they lately did
+    estimate_invalid_s : how long the autopilot may call a part of its own estimate invalid
     """
 
     attitude_hz: float = 100.0
@@ -65,6 +66,7 @@ class TelemetrySettings:
     repeated_samples_max: int = 20
     frozen_time_s: float = 0.5
     late_max_s: float = 0.15
+    estimate_invalid_s: float = 1.0
 
     def __post_init__(self) -> None:
         _require(self, "telemetry")

@@ -29,8 +29,8 @@ KEPT = (
     "_flight", "_engagement", "_retry", "_outcome", "_leaving", "_armed_here", "_offboard_mode",
     "_auto_engage", "_interrupted", "_capture", "_said", "_own_heartbeat_us", "_request_us", "_requests",
     "_gripper_us", "_link", "_latency_s", "_battery", "_trust", "_rivals", "_echo", "_centre", "_followed",
-    "_stay", "_external", "_awareness", "_release_plan", "_position_us", "_flown", "_stepped", "_earliest",
-    "_asked_again", "_asked_again_us",
+    "_fall", "_stay", "_external", "_awareness", "_release_plan", "_position_us", "_flown", "_stepped",
+    "_earliest", "_asked_again", "_asked_again_us",
 )  # fmt: skip
 """Attributes of a service: more than the 30 that CPython finds quickly without `__slots__`."""
 

@@ -14,8 +14,10 @@ from math import ceil, cos, isfinite, nan, pi
 from msgspec import Struct
 from msgspec.structs import replace
 
+from kffa_offboard.offboard.doubt import NO_DOUBT, Doubt, hear
 from kffa_offboard.offboard.events import (
     AttitudeReceived,
+    EstimateReported,
     HeartbeatReceived,
     LandedStateReported,
     LinkMeasured,
@@ -66,6 +68,7 @@ class Telemetry(Struct, frozen=True, gc=False):
     throttle_us: int = 0
     on_ground: bool | None = None
     landed_us: int = 0
+    doubt: Doubt = NO_DOUBT
     steady_since_us: int | None = None
     invalid: int = 0
 
@@ -229,12 +232,17 @@ def forget_samples(known: Telemetry) -> Telemetry:
 
 def forget_heartbeat(known: Telemetry) -> Telemetry:
     """The autopilot is silent: mode and arming state are unknown."""
-    return replace(known, heartbeat=None, armed_since_us=None)
+    return replace(known, heartbeat=None, armed_since_us=None, doubt=NO_DOUBT)
 
 
 def receive_landed(known: Telemetry, time_us: int, event: LandedStateReported) -> Telemetry:
     """Take in the landed state."""
     return replace(known, on_ground=event.on_ground, landed_us=time_us)
+
+
+def receive_estimate(known: Telemetry, time_us: int, event: EstimateReported) -> Telemetry:
+    """Take in what the autopilot says of its estimate."""
+    return replace(known, doubt=hear(known.doubt, time_us, event))
 
 
 def receive_heartbeat(known: Telemetry, time_us: int, event: HeartbeatReceived) -> Telemetry:
@@ -294,6 +302,8 @@ def not_ready(settings: TelemetrySettings, known: Telemetry, time_us: int) -> st
     """Why the service is not ready, or None if it is."""
     if known.heartbeat is None:
         return "no heartbeat"
+    if known.heartbeat.killed:
+        return "kill switch is on"
     for name, stream, minimum in (
         ("attitude", known.attitude_stream, settings.minimum_attitude_hz),
         ("position", known.position_stream, settings.minimum_position_hz),

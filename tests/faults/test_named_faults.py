@@ -43,6 +43,9 @@ def frames(system, *messages):
 ATTITUDE_OF_OLD = mavlink.MAVLink_attitude_message(100, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 IRRELEVANT = mavlink.MAVLink_raw_imu_message(0, 0, 0, 0, 0, 0, 0, 0, 0, 0)
 
+ESTIMATE = ("ESTIMATOR_STATUS", "EKF_STATUS_REPORT")
+INVALID = {"messages": ESTIMATE, "values": {"flags": 0x033E}}  # the attitude
+
 ENDS = {  # fault, longest time until control is given up [s], reason
     "lost": (Lose(AT), 0.25, "no attitude for 0.25 s"),
     "position-lost": (Lose(AT, messages=POSITION), 0.25, "no position for 0.25 s"),
@@ -73,6 +76,7 @@ ENDS = {  # fault, longest time until control is given up [s], reason
     "climb-rate-wrong": (Offset(AT, messages=POSITION, values={"vz": 6.0}), 0.16, "does not fit"),
     "climb-rate-wrong-by-less": (Offset(AT, messages=POSITION, values={"vz": 1.6}), 0.4, "does not fit"),
     "flooded-with-samples": (Flood(AT, frames=frames(1, ATTITUDE_OF_OLD)), PERIOD, "standing clock"),
+    "called-invalid": (Overwrite(AT, **INVALID), 1.4, "autopilot calls its attitude invalid"),
     "tenth-of-rate": (Thin(AT, messages=ATTITUDE + POSITION), 1.0, "Hz; omega_o = 50 needs 20"),
 }
 KEPT = {  # fault, and how far from its height the vehicle may move [m]
@@ -85,6 +89,7 @@ KEPT = {  # fault, and how far from its height the vehicle may move [m]
     "third-of-rate": (Thin(AT, messages=ATTITUDE + POSITION, keep_every=3), 0.1),
     "flooded-by-another-system": (Flood(AT, 0.5, frames=frames(77, ATTITUDE_OF_OLD)), 0.05),
     "flooded-with-what-nobody-needs": (Flood(AT, 0.5, frames=frames(1, IRRELEVANT)), 0.05),
+    "called-invalid-for-a-moment": (Overwrite(AT, 0.8, **INVALID), 0.05),
     "acks-lost": (Lose(messages=("COMMAND_ACK",)), 0.1),
 }
 

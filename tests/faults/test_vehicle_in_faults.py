@@ -63,3 +63,33 @@ def test_with_any_noise_a_vehicle_whose_thrust_saturates_stays_within_them(fault
         assert SATURATED_M[0] < min(flight.heights) and max(flight.heights) < SATURATED_M[1]
         assert max(flight.tilts) < SATURATED_TILT_RAD
         assert abs(flight.heights[-1] - 5.0) < 0.3
+
+
+def kill(vehicle):
+    vehicle.firmware.killed = True
+
+
+def let_again(vehicle):
+    vehicle.firmware.killed = False
+
+
+@pytest.mark.parametrize("personality", ["px4", "ardupilot"])
+def test_a_vehicle_that_was_killed_and_has_fallen_does_not_jump_when_it_is_let_again(
+    fault_flight, personality
+):
+    """Its last setpoint had 0.95 of full thrust, and it was 2 m high half a second later."""
+    acts = {AT: kill, AT + 1.6: let_again}
+    flight = fault_flight(personality, acts=acts, seconds=AT + 2.2).fly()
+    assert "failsafe: climb rate does not fit" in " ".join(flight.texts)  # the impact
+    assert flight.violations == []
+    assert 0.35 < flight.targets[-1][1].thrust < 0.45
+    slots = round((AT + 1.2) * 100)
+    assert max(flight.heights[slots:]) < 0.15
+
+
+@pytest.mark.parametrize("personality", ["px4", "ardupilot"])
+def test_a_vehicle_that_is_let_again_in_the_fall_is_caught(fault_flight, personality):
+    flight = fault_flight(personality, acts={AT: kill, AT + 0.5: let_again}, seconds=AT + 5.0).fly()
+    assert flight.released_s is None and flight.violations == []
+    assert min(flight.heights) > 2.5 and max(flight.heights) < 6.0
+    assert abs(flight.heights[-1] - 5.0) < 0.1

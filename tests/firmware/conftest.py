@@ -7,26 +7,31 @@ build directory of a PX4. Without it a test is skipped.
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import socket
+import struct
 import subprocess
+import sys
 import time
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.compare import firmware
+from kffa_offboard.compare import firmware, simulation
+from kffa_offboard.compare.bridge import Bridge
 from kffa_offboard.compare.firmware import find_firmware
-from kffa_offboard.compare.plan import AutopilotName, Trial, head_start_s
+from kffa_offboard.compare.flight import daemon_document, wait_for_head_start
+from kffa_offboard.compare.plan import AutopilotName, Conditions, Trial, head_start_s
 from kffa_offboard.compare.simulation import physics_document, start_physics
-from kffa_offboard.compare.toml_text import merged
+from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.config import bundled
 from kffa_offboard.errors import UserError
-from kffa_offboard.trials.processes import flown_s, free_port, process
+from kffa_offboard.trials.processes import flown_s, free_port, last_line, process
 from sim_vehicle.backends.ardupilot_vehicle import ArdupilotVehicle
 from sim_vehicle.config import load
 
@@ -225,3 +230,101 @@ def _flying_firmware(
 def flying_firmware() -> Callable[..., contextlib.AbstractContextManager[tuple[str, int, Path]]]:
     """Flies a firmware in real time."""
     return _flying_firmware
+
+
+def _fly_in_lockstep(
+    autopilot: AutopilotName,
+    binary: Path,
+    directory: Path,
+    output: str,
+    changes: dict[str, Any],
+    wind: bool = False,
+    over: Callable[[Any], bool] | None = None,
+    bridge: type[Bridge] = Bridge,
+    load_s: tuple[float, float] = (500.0, 600.0),
+) -> str:
+    """One flight of the daemon with `changes` of its configuration; the last line that it said.
+
+    The load comes and goes at `load_s` after lift-off.
+
+    With `over` simulated time goes on until that holds of the bridge; a daemon still there is told to end.
+    """
+    setup = simulation.Setup(autopilot, binary, directory)
+    trial = Trial("flight", "", "kffa-ladrc", output, conditions=Conditions(wind=wind))
+    with pytest.MonkeyPatch.context() as patch, contextlib.ExitStack() as stack:
+        patch.setattr("kffa_offboard.compare.bridge.Bridge", bridge)
+        patch.setattr(simulation, "PICKUP_S", load_s[0])
+        patch.setattr(simulation, "DROP_S", load_s[1])
+        running = stack.enter_context(simulation.simulation(setup, trial))
+        wait_for_head_start(running, lambda time_s, text: None)
+        document = merged(daemon_document(setup, trial, running), changes)
+        config = directory / "flight.toml"
+        config.write_text(toml_text(merged(document, {"control": {"output": output}})), encoding="utf-8")
+        command = [sys.executable, "-m", "kffa_offboard", "run", "--config", str(config), "--lockstep"]
+        command += ["--log", str(directory / "flight.tlog"), "--arm", "--engage", "--fix-params"]
+        with (
+            (directory / "daemon.log").open("w", encoding="utf-8") as said,
+            process(command, stdout=said, stderr=subprocess.STDOUT) as daemon,
+        ):
+            assert running.bridge is not None
+            limit = time.monotonic() + 600.0
+            while daemon.poll() is None if over is None else not over(running.bridge):
+                assert time.monotonic() < limit, "the flight does not end"
+                if daemon.poll() is not None:
+                    running.bridge.let_go()
+                time.sleep(0.1)
+            daemon.terminate()
+            daemon.wait(60.0)
+            running.bridge.let_go()
+    return last_line(directory / "daemon.log")
+
+
+class ActingBridge(Bridge):
+    """Beside the daemon a ground station (255) acts on the firmware; derive from it for each flight.
+
+    Attributes
+    ----------
+    acts : times after lift-off [s] and what is sent then, given the firmware's system id, in order
+    lifted_s : simulated time of lift-off
+    acted_s : simulated times of what was sent
+    """
+
+    acts: ClassVar[list[tuple[float, Callable[[int], list[Any]]]]]
+    acted_s: ClassVar[list[float]]
+    lifted_s: ClassVar[float] = math.inf
+    ground_m: ClassVar[float] = 0.0
+    armed: ClassVar[bool] = False
+
+    def __init_subclass__(cls) -> None:
+        cls.acts, cls.acted_s = [], []
+
+    def _hear_firmware(self) -> bool:
+        answered, kind = super()._hear_firmware(), type(self)
+        for _, frame in self._to_daemon:
+            number = int.from_bytes(frame[7:10], "little")
+            if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+                kind.armed, self._system = bool(frame[16] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED), frame[5]
+            elif number == mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED and kind.lifted_s == math.inf:
+                (down,) = struct.unpack_from("<f", frame, 22)
+                if not kind.armed:  # an estimate that is settling wanders
+                    kind.ground_m = -down
+                elif -down - kind.ground_m > 0.3:
+                    kind.lifted_s = self.time_s
+        while kind.acts and self.time_s > kind.lifted_s + kind.acts[0][0]:
+            _, messages = kind.acts.pop(0)
+            kind.acted_s.append(self.time_s)
+            for message in messages(self._system):
+                self._firmware.send(message.pack(mavlink.MAVLink(None, 255, 190)))
+        return answered
+
+
+@pytest.fixture(scope="session")
+def acting_bridge() -> type[ActingBridge]:
+    """To derive from."""
+    return ActingBridge
+
+
+@pytest.fixture(scope="session")
+def fly_in_lockstep() -> Callable[..., str]:
+    """Flies the daemon on a firmware, in lock-step, as `kffa-offboard compare` does."""
+    return _fly_in_lockstep

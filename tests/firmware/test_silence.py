@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-import subprocess
-import sys
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -14,14 +12,9 @@ import numpy as np
 import pytest
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
-from kffa_offboard.compare import simulation
 from kffa_offboard.compare.bridge import Bridge
-from kffa_offboard.compare.flight import daemon_document, wait_for_head_start
-from kffa_offboard.compare.plan import Trial
-from kffa_offboard.compare.toml_text import merged, toml_text
 from kffa_offboard.flightlog.tlog import read_tlog
 from kffa_offboard.trials.metrics import read_truth
-from kffa_offboard.trials.processes import last_line, process
 
 pytestmark = pytest.mark.timeout(900)
 
@@ -64,39 +57,6 @@ class DeafBridge(Bridge):
         return answered
 
 
-def fly(autopilot: Any, binary: Path, directory: Path) -> str:
-    """One flight of the daemon; the last line that it said."""
-    setup = simulation.Setup(autopilot, binary, directory)
-    trial = Trial("flight", "", "kffa-ladrc", OUTPUT[autopilot])
-    segments = [
-        {"type": "takeoff", "altitude_m": HEIGHT_M, "climb_rate_m_s": 1.0},
-        {"type": "hold", "duration_s": END_S - HEIGHT_M},
-        {"type": "land", "descent_rate_m_s": 1.0},
-    ]
-    with simulation.simulation(setup, trial) as running:
-        wait_for_head_start(running, lambda time_s, text: None)
-        changes = {
-            "scenario": {"segment": segments},
-            "sequence": {"disarm_timeout_s": 2.0},
-            "telemetry": {"timeout_s": 0.8, "position_timeout_s": 0.8},
-            "control": {"output": OUTPUT[autopilot]},
-        }
-        config = directory / "flight.toml"
-        config.write_text(
-            toml_text(merged(daemon_document(setup, trial, running), changes)), encoding="utf-8"
-        )
-        command = [sys.executable, "-m", "kffa_offboard", "run", "--config", str(config), "--lockstep"]
-        command += ["--log", str(directory / "flight.tlog"), "--arm", "--engage", "--fix-params"]
-        with (
-            (directory / "daemon.log").open("w", encoding="utf-8") as said,
-            process(command, stdout=said, stderr=subprocess.STDOUT) as daemon,
-        ):
-            daemon.wait(600.0)
-            assert running.bridge is not None
-            running.bridge.let_go()
-    return last_line(directory / "daemon.log")
-
-
 def setpoints(log: Path) -> list[tuple[float, Any]]:
     """SET_ATTITUDE_TARGETs of the daemon and when they went out, s of simulated time."""
     parser = mavlink.MAVLink(None)
@@ -107,13 +67,33 @@ def setpoints(log: Path) -> list[tuple[float, Any]]:
 
 @pytest.mark.parametrize("autopilot", ["ardupilot", "px4"])
 def test_a_firmware_levels_while_the_daemon_is_blind_and_follows_it_again(
-    firmware_binary: Callable[[str], Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, autopilot: str
+    firmware_binary: Callable[[str], Path],
+    fly_in_lockstep: Callable[..., str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    autopilot: str,
 ) -> None:
-    monkeypatch.setattr("kffa_offboard.compare.bridge.Bridge", DeafBridge)
     monkeypatch.setattr(DeafBridge, "silent", DeafBridge.silent)
-    monkeypatch.setattr(simulation, "PICKUP_S", PICKUP_S)
-    monkeypatch.setattr(simulation, "DROP_S", DROP_S)
-    word = fly(autopilot, firmware_binary(autopilot), tmp_path)
+    changes = {
+        "scenario": {
+            "segment": [
+                {"type": "takeoff", "altitude_m": HEIGHT_M, "climb_rate_m_s": 1.0},
+                {"type": "hold", "duration_s": END_S - HEIGHT_M},
+                {"type": "land", "descent_rate_m_s": 1.0},
+            ]
+        },
+        "sequence": {"disarm_timeout_s": 2.0},
+        "telemetry": {"timeout_s": 0.8, "position_timeout_s": 0.8},
+    }
+    word = fly_in_lockstep(
+        autopilot,
+        firmware_binary(autopilot),
+        tmp_path,
+        OUTPUT[autopilot],
+        changes,
+        bridge=DeafBridge,
+        load_s=(PICKUP_S, DROP_S),
+    )
     truth, sent = read_truth(tmp_path / "flight-truth.csv"), setpoints(tmp_path / "flight.tlog")
     begin, end = DeafBridge.silent
     blind = [message for t, message in sent if begin + 0.15 < t <= end]

@@ -9,6 +9,7 @@ from kffa_offboard.mavlink.frames import quaternion_from_euler
 from kffa_offboard.mavlink.telemetry import BootClock
 from kffa_offboard.offboard.events import (
     AttitudeReceived,
+    EstimateReported,
     LandedStateReported,
     PositionReceived,
     StatusReceived,
@@ -47,6 +48,32 @@ def test_an_attitude_target_nose_up_decodes_as_negative_pitch(autopilot, telemet
     assert event.attitude == pytest.approx((0.0, -0.2, 0.0), abs=1e-6)
     assert event.body_rates == pytest.approx((0.1, -0.2, -0.3))
     assert event.thrust == pytest.approx(0.4)
+
+
+@pytest.mark.parametrize(
+    ("flags", "attitude", "height", "position"),
+    [
+        (0x033F, True, True, True),  # PX4 in flight; without satellites, and 4 s later:
+        (0x003F, True, True, True),
+        (0x0025, True, True, False),
+        (0x03BF, True, True, True),  # PX4 at rest on the ground
+        (0x00A7, True, True, False),  # ArduCopter without satellites: a constant position
+        (0x002F, True, True, True),  # a place relative to the start, by a camera
+        (0x033B, True, False, True),
+        (0x031F, True, False, True),
+        (0x035F, True, True, True),  # the height above the ground is one
+        (0x033E, False, True, True),
+        (0x0400, False, False, False),  # EKF_UNINITIALIZED
+    ],
+)
+def test_what_the_autopilot_says_of_its_estimate_decodes(
+    autopilot, telemetry, flags, attitude, height, position
+):
+    expected = [EstimateReported(attitude, height, position)]
+    px4 = mavlink.MAVLink_estimator_status_message(0, flags, *[0.0] * 8)
+    assert telemetry.decode(autopilot.over_the_wire(px4)) == expected
+    ardupilot = mavlink.MAVLink_ekf_status_report_message(flags, *[0.0] * 5)
+    assert telemetry.decode(autopilot.over_the_wire(ardupilot)) == expected
 
 
 @pytest.mark.parametrize(

@@ -138,9 +138,13 @@ def test_everything_that_the_service_needs_is_asked_for(px4, ardupilot):
         mavlink.MAVLINK_MSG_ID_VFR_HUD,
         mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE,
     }
-    for firmware, mode in ((px4, CURRENT_MODE), (ardupilot, mavlink.MAVLINK_MSG_ID_HEARTBEAT)):
+    own = {
+        px4: {CURRENT_MODE, mavlink.MAVLINK_MSG_ID_ESTIMATOR_STATUS},
+        ardupilot: {mavlink.MAVLINK_MSG_ID_HEARTBEAT, mavlink.MAVLINK_MSG_ID_EKF_STATUS_REPORT},
+    }
+    for firmware in (px4, ardupilot):
         asked = intervals(firmware, 100.0)
-        assert asked.keys() == needed | {mode}
+        assert asked.keys() == needed | own[firmware]
         assert asked[mavlink.MAVLINK_MSG_ID_ATTITUDE] == 10_000
         assert asked[mavlink.MAVLINK_MSG_ID_EXTENDED_SYS_STATE] == 500_000
 
@@ -212,7 +216,7 @@ def test_a_denied_attitude_rate_is_asked_for_again_one_millisecond_slower(ardupi
 def test_a_rate_that_is_denied_however_slow_is_told_to_the_service(ardupilot, autopilot):
     ardupilot.encode(RequestMessageRates(100.0, 100.0, 20.0, 5.0), 0)
     refuse(ardupilot, autopilot, mavlink.MAV_RESULT_DENIED)
-    refuse(ardupilot, autopilot, 0, accepted_before=4)  # all the others
+    refuse(ardupilot, autopilot, 0, accepted_before=5)  # all the others
     slowest, told = 0, []
     while not told:
         (again,) = ardupilot.requests()
@@ -239,6 +243,7 @@ def test_ardupilot_without_message_intervals_is_asked_for_groups_of_messages(ard
         (mavlink.MAV_DATA_STREAM_EXTRA1, 100),
         (mavlink.MAV_DATA_STREAM_POSITION, 50),
         (mavlink.MAV_DATA_STREAM_EXTRA2, 5),
+        (mavlink.MAV_DATA_STREAM_EXTRA3, 5),
     }
     for message in ardupilot.encode(RequestMessageRates(100.0, 50.0, 20.0, 5.0), 0):
         assert message.get_type() == "REQUEST_DATA_STREAM"

@@ -41,7 +41,7 @@ def test_signals_ten_times_a_second_take_nine_kilobytes():
 def test_57600_baud_do_not_carry_a_flight_and_the_remedy_is_a_rate_that_does():
     text = said("serial:/dev/ttyUSB0:57600")
     assert text.startswith(
-        "serial:/dev/ttyUSB0:57600 carries 5.8 kB/s, and the flight takes 9.3 from the vehicle"
+        "serial:/dev/ttyUSB0:57600 carries 5.8 kB/s, and the flight takes 9.6 from the vehicle"
     )
     assert text.endswith("use 115200 baud")
     assert said("serial:/dev/ttyUSB0:115200") is None
