@@ -304,6 +304,8 @@ class Service(ControlSession):
             outside = outside or admission.outside_fence(self.settings.limits, self._known, self._centre)
             if outside is None and self.state is ENGAGED:
                 outside = admission.slow(self.settings, self._known, time_us)
+            if outside is None:
+                outside = self._fallen(ground)
             if outside is None and self._loop is not None:
                 outside = astray(self.settings.position, self._loop.horizontal)
             if outside is not None:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from kffa_offboard.offboard import admission, events, telemetry
 from kffa_offboard.offboard.events import Severity
-from kffa_offboard.offboard.falling import NO_FALL, watch_fall
+from kffa_offboard.offboard.falling import NO_FALL, shows, watch_fall
 from kffa_offboard.offboard.flight import AIR
 from kffa_offboard.offboard.sequence import microseconds
 from kffa_offboard.offboard.session import Session
@@ -86,6 +86,12 @@ class TelemetrySession(Session):
             self._fall = NO_FALL
         else:
             self._fall = watch_fall(self._fall, event, loop.sent.thrust, hover, loop.carrying)
+
+    def _fallen(self, ground: float) -> str | None:
+        """An estimator may not notice the impact: PX4's fell on for 3 m."""
+        position = self._known.position
+        below = position is not None and position.position[2] < ground
+        return "fell to the ground" if below and shows(self._fall) else None
 
     def _flying(self) -> bool:
         """In our hands and in the air."""

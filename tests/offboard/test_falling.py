@@ -84,6 +84,29 @@ def test_in_a_fall_the_law_goes_on_and_the_kill_switch_is_said_once(fake):
     assert last.thrust == pytest.approx(fake.hover, rel=0.1), "not what the fall looks like"
 
 
+def test_an_estimate_that_falls_through_the_ground_ends_control(fake):
+    """PX4's did after the impact, for 3 m and 0.7 s, in which the law asked for all thrust."""
+    flight = engaged(fake)
+    flight.run(1.0)
+    begun_us = flight.time_us
+
+    def falling(event):
+        if not isinstance(event, PositionReceived):
+            return event
+        seconds = (flight.time_us - begun_us) * 1e-6
+        return structs.replace(
+            event, position=(0.0, 0.0, 3.0 - 4.9 * seconds**2), velocity=(0.0, 0.0, -9.8 * seconds)
+        )
+
+    flight.change = falling
+    flight.run(0.76)
+    assert flight.service.state is State.ENGAGED
+    flight.run(0.05)
+    assert "failsafe: fell to the ground" in flight.texts
+    last = flight.sent(events.AttitudeTarget)[-1][1]
+    assert last.attitude is not None and last.thrust == pytest.approx(fake.hover, rel=0.1)
+
+
 def test_with_the_kill_switch_on_nothing_is_ready_or_engaged(fake):
     settings = fake.settings(engage=False, scenario=(Hold(100.0),))
     flight = fake.Lockstep(settings, fake.airborne()).run_to(State.READY)
