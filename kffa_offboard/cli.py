@@ -207,8 +207,11 @@ def run(
 def check(
     files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Configurations to check.")],
 ) -> None:
-    """Check configurations without opening or flying anything; every problem is a line of its own."""
-    from kffa_offboard.cli_vehicle import slow_line
+    """Check configurations without opening a link or flying; every problem is a line of its own.
+
+    What this computer lacks for a flight (the signing key) is a warning: it may be another's configuration.
+    """
+    from kffa_offboard.cli_vehicle import key_problem, slow_line
     from kffa_offboard.config import ConfigError, load
 
     problems: list[str] = []
@@ -216,8 +219,9 @@ def check(
         try:
             config = load(file)
             typer.echo(f"{file}: ok: {_summary(config)}")
-            if (slow := slow_line(config)) is not None:
-                typer.echo(f"{file}: warning: {slow}")
+            for doubt in (slow_line(config), key_problem(config)):
+                if doubt is not None:
+                    typer.echo(f"{file}: warning: {doubt}")
         except ConfigError as error:
             problems += str(error).splitlines()
     if problems:

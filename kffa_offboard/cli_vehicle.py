@@ -259,6 +259,19 @@ def slow_line(config: DaemonConfig) -> str | None:
     return too_slow(parse_url(config.link.url), config.service.telemetry, config.signals_hz, signed=signed)
 
 
+def key_problem(config: DaemonConfig) -> str | None:
+    """Why the signing key, if there is to be one, cannot be had here."""
+    if config.link.signing is None:
+        return None
+    from kffa_offboard.mavlink.signing_key import read_key
+
+    try:
+        read_key(config.link.signing.key_file)
+    except UserError as problem:
+        return str(problem)
+    return None
+
+
 def _log_path(config: DaemonConfig, options: RunOptions, name: str) -> Path | None:
     """Where to log. Names are wall time: where no clock has kept it, they may be there already."""
     if options.log is not None or config.log.directory is None:

@@ -197,7 +197,7 @@ def read_any(path: Path, name: str) -> Flight:
     Raises UserError as `read_flight` and `from_record.read_onboard`.
     """
     onboard = first_bytes(path).startswith(_ONBOARD)
-    if not onboard:
+    if not onboard and path.suffix.lower() not in (".bin", ".ulg"):
         return read_flight(path, name)
     from kffa_offboard.report.from_record import read_onboard
 

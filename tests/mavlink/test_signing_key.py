@@ -11,6 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from kffa_offboard.cli import app
+from kffa_offboard.config import bundled
 from kffa_offboard.errors import UserError
 from kffa_offboard.mavlink.signing_key import SigningKey, key_of_passphrase, read_key, write_new_key
 
@@ -150,3 +151,16 @@ def test_two_keys_are_different(tmp_path):
     for name in ("a", "b"):
         write_new_key(tmp_path / name)
     assert read_key(tmp_path / "a").reveal() != read_key(tmp_path / "b").reveal()
+
+
+def test_check_warns_of_a_key_that_is_not_here(tmp_path):
+    """It may be another computer's configuration, so nothing is wrong with it."""
+    config = tmp_path / "vehicle.toml"
+    text = bundled("serial.toml").read_text(encoding="utf-8")
+    config.write_text(text + '\n[signing]\nkey_file = "vehicle.key"\n', encoding="utf-8")
+    key, said = tmp_path / "vehicle.key", CliRunner().invoke(app, ["check", str(config)])
+    assert said.exit_code == 0
+    missing = f"no such file; make one with: kffa-offboard key {key}"
+    assert f"{config}: warning: signing key {key}: {missing}" in said.output
+    write_new_key(key)
+    assert "signing key" not in CliRunner().invoke(app, ["check", str(config)]).output

@@ -259,3 +259,11 @@ def test_a_log_of_the_autopilots_own_shows_set_points_estimates_and_the_load():
 def test_a_missing_log_is_one_line(tmp_path):
     with pytest.raises(UserError, match=r"cannot read flight log .*none\.tlog: No such file"):
         read_any(tmp_path / "none.tlog", "none")
+
+
+@pytest.mark.parametrize("name", ["flight.ulg", "flight.BIN"])
+def test_what_is_named_like_a_log_of_the_autopilot_and_is_none_is_said_to_be_none(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(bytes(range(200)))
+    with pytest.raises(UserError, match=r"no flight log that is known; give .* or a PX4 .ulg"):
+        read_any(path, name)
