@@ -64,8 +64,11 @@ class Load(Struct, frozen=True, gc=False):
     std: float
 
 
-class PickUp(Struct, frozen=True, gc=False):
-    """A pick-up that is named when its mass is exact: when it was noticed, and the load before, kg."""
+class Change(Struct, frozen=True, gc=False):
+    """A change that is named when its mass is exact: when it was noticed, and the load before, kg.
+
+    A drop of all is not, since what was carried is known.
+    """
 
     since_us: int
     before: float
@@ -88,7 +91,7 @@ class Awareness(Struct, frozen=True, gc=False):
     flying_since_us : None while the estimator rests
     load : None until the estimate has settled
     reported_us : last report
-    pick_up : noticed and not yet named
+    change : a pick-up, or a drop of a part, that is noticed and not yet named
     expected : commanded release whose outcome is open
     heavy : too heavy a load has been announced
     told : kg, the load according to what was last announced; it follows the estimate while that is quiet
@@ -99,7 +102,7 @@ class Awareness(Struct, frozen=True, gc=False):
     flying_since_us: int | None = None
     load: Load | None = None
     reported_us: int | None = None
-    pick_up: PickUp | None = None
+    change: Change | None = None
     expected: ExpectedDrop | None = None
     heavy: bool = False
     told: float = 0.0
@@ -160,7 +163,7 @@ def _estimate(
     if expected is not None and not expected.begun and sample.time_us >= expected.moment_us:
         opening = settings.estimator.detection.opening
         empty = payload.reset(state.estimator, rate, 0.0, opening)
-        state = replace(state, estimator=empty, expected=replace(expected, begun=True), pick_up=None)
+        state = replace(state, estimator=empty, expected=replace(expected, begun=True), change=None)
     tilt_factor = cos(sample.attitude[0]) * cos(sample.attitude[1])
     estimator, estimate = payload.step(
         settings.estimator, state.estimator, rate, tilt_factor, sample.fresh, sample.dt
@@ -199,7 +202,7 @@ def _rest(settings: PayloadSettings, load: Load) -> bool:
 
 def has_load(settings: PayloadSettings, state: Awareness) -> bool:
     """The vehicle carries a load, and how heavy it is is known."""
-    known = state.load is not None and state.pick_up is None and state.unrest_us is None
+    known = state.load is not None and state.change is None and state.unrest_us is None
     return known and state.load is not None and _clear(settings, state.load)
 
 
@@ -220,24 +223,28 @@ def _watch_changes(
     doubtful = state.unrest_us is not None or sample.swinging
     unbelieved = change != 0.0 and (doubtful or not _believable(settings, state, load, change))
     if unbelieved or sample.untimed:
-        return replace(state, unrest_us=time_us, pick_up=None), ()
+        return replace(state, unrest_us=time_us, change=None), ()
     if state.unrest_us is not None:
         return _watch_unrest(settings, state, load, time_us)
-    if change > 0.0:
-        before = load.mass - change if state.pick_up is None else state.pick_up.before
-        return replace(state, pick_up=PickUp(time_us, before)), ()
+    if change > 0.0 or (change < 0.0 and _rest(settings, load)):
+        before = load.mass - change if state.change is None else state.change.before
+        return replace(state, change=Change(time_us, before)), ()
     if change < 0.0:
-        dropped = -change if _rest(settings, load) else load.mass - change
-        drop = Announce(Severity.NOTICE, f"dropped {dropped:.1f} kg")
-        return replace(state, pick_up=None, told=load.mass), (drop,)
-    pick_up = state.pick_up
-    if pick_up is None and isinf(state.estimator.suspected):
+        return _named(state, load, 0.0, load.mass - change)
+    pending = state.change
+    if pending is None and isinf(state.estimator.suspected):
         told = load.mass + (state.told - load.mass) * exp(-sample.dt / TOLD_MEMORY_S)
         return replace(state, told=told), ()
-    if pick_up is None or time_us - pick_up.since_us < microseconds(settings.announce_s):
+    if pending is None or time_us - pending.since_us < microseconds(settings.announce_s):
         return state, ()
-    text = f"picked up {load.mass - pick_up.before:.1f} kg"
-    return replace(state, pick_up=None, told=load.mass), (Announce(Severity.NOTICE, text),)
+    return _named(state, load, load.mass if _clear(settings, load) else 0.0, pending.before)
+
+
+def _named(state: Awareness, load: Load, left: float, before: float) -> _Told:
+    """The load, `before` of it, has become what is `left`, kg."""
+    word = "picked up" if left > before else "dropped"
+    said = Announce(Severity.NOTICE, f"{word} {abs(left - before):.1f} kg")
+    return replace(state, change=None, told=load.mass), (said,)
 
 
 def _believable(settings: PayloadSettings, state: Awareness, load: Load, change: float) -> bool:
@@ -246,7 +253,7 @@ def _believable(settings: PayloadSettings, state: Awareness, load: Load, change:
     least = estimator.detection.minimum
     slack = max(2.0 * least, _SURE * load.std)
     before = load.mass - change
-    known = state.told if state.pick_up is None else before
+    known = state.told if state.change is None else before
     most = estimator.vehicle_mass * (1.0 / estimator.hover_thrust - 1.0)
     return abs(before - known) < slack and -slack < load.mass < most and (change > 0.0 or before > least)
 
@@ -284,7 +291,7 @@ def _watch_release(settings: PayloadSettings, state: Awareness, load: Load, time
 def _watch_limit(settings: PayloadSettings, state: Awareness, load: Load) -> _Told:
     """Say once that a load is too heavy, when that is sure, and again only after it was not."""
     limit = settings.max_load_kg
-    waits = state.pick_up is not None or state.expected is not None or state.unrest_us is not None
+    waits = state.change is not None or state.expected is not None or state.unrest_us is not None
     if limit is None or waits:
         return state, ()
     if not state.heavy and min(load.mass, state.told) - 2.0 * load.std > limit:

@@ -18,7 +18,8 @@ class PayloadSettings:
     max_load_kg : a heavier load is announced; None: any load is right
     report_hz : how often the load's mass is reported
     settle_s : from lift-off, or from engaging in the air, to the first estimate that counts
-    announce_s : from noticing a pick-up to naming its mass, which needs the time to become exact
+    announce_s : from noticing a pick-up, or a drop of a part, to naming its mass, which needs the time to
+        become exact
     gripper_open_s : from the gripper's command at the autopilot to the load's leaving; with it a commanded
         release steps the thrust at that moment, None leaves the release to the observer
     release_timeout_s : a commanded release that is not seen so long after its moment is announced

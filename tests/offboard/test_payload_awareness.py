@@ -415,10 +415,13 @@ def test_more_than_was_carried_is_not_dropped(fake):
     assert changes_of(fake, [(1.0, 0.0, -4.9)], told=4.8) == [(1.0, "dropped 4.9 kg")]
 
 
-def test_a_rest_is_told_when_it_is_four_deviations_and_not_before(fake):
+def test_a_rest_is_told_when_it_is_four_deviations_and_exact(fake):
     """A tenth of a second after a drop PX4's samples left 0.7 kg of 5: "dropped 4.3 kg"."""
     assert changes_of(fake, [(1.0, 0.75, -4.25)], told=5.0) == [(1.0, "dropped 5.0 kg")]
-    assert changes_of(fake, [(1.0, 0.85, -4.15)], told=5.0) == [(1.0, "dropped 4.2 kg")]
+    assert changes_of(fake, [(1.0, 0.85, -4.15)], told=5.0) == [(1.4, "dropped 4.2 kg")]
+    noticed, exact = (1.0, 1.3, -2.8), (1.2, 0.45, 0.0)  # what real PX4 showed of 4.13 less 3.68 kg
+    assert changes_of(fake, [noticed, exact], told=4.1) == [(1.4, "dropped 4.1 kg")], "0.45 of 0.6 are none"
+    assert changes_of(fake, [noticed, (1.2, 0.8, 0.0)], told=4.1) == [(1.4, "dropped 3.3 kg")]
 
 
 def test_a_load_that_leaves_during_a_landing_is_announced(fake):
