@@ -168,8 +168,8 @@ class FlightTable(Table):
 class FailsafeTable(Table):
     """`[failsafe]`: what happens when the daemon gives up control.
 
-    "stop" sends no more, so that the autopilot's own loss-of-offboard action runs; "hold" and "land"
-    ask for that mode first.
+    "stop" sends no more, so that the autopilot's own loss-of-offboard action runs (ArduCopter has none but to
+    stay level in GUIDED, and drifts); "hold" and "land" ask for that mode first.
     """
 
     action: FailsafeAction = "stop"
