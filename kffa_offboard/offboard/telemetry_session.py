@@ -77,8 +77,12 @@ class TelemetrySession(Session):
         elif doubt is not None and self.state is State.READY:
             self.state = State.WAITING
             self._say(Severity.WARNING, f"not ready: {doubt}")
-        elif self._known.doubt.position_us is not None and self.state in SENDING:
+        elif self._known.doubt.position_us is not None and self._nothing_holds_the_place():
             self._say_once(Severity.WARNING, "position invalid: the fence is not watched")
+
+    def _nothing_holds_the_place(self) -> bool:
+        """In our hands, without the ring; with it control ends when its position stays invalid."""
+        return self.state in SENDING and self.settings.position is None
 
     def _watch_fall(self, event: events.PositionReceived) -> None:
         loop, hover = self._loop, self.settings.hover_thrust

@@ -50,6 +50,8 @@ def test_control_ends_when_what_it_needs_is_invalid_for_a_second(fake, part, rin
     flight.give(BAD[part])
     reason = f"failsafe: autopilot calls its {part} invalid"
     assert (flight.service.state is State.FAILSAFE, reason in flight.texts) == (ends, ends)
+    fence = "position invalid: the fence is not watched"
+    assert (fence in flight.texts) == (part == "position" and not ring)
 
 
 def test_without_the_ring_a_lost_position_is_said_once_and_the_fence_is_not_watched(fake):
