@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from kffa_offboard.control import vehicle
 from kffa_offboard.control.rotation import body_rates_of
-from kffa_offboard.offboard.events import AttitudeTarget
+from kffa_offboard.offboard.events import AttitudeReceived, AttitudeTarget
 from kffa_offboard.offboard.flight import FlightState, Phase, stands
 from kffa_offboard.offboard.guard import check_target
 from kffa_offboard.offboard.loop import LoopState, command_of, level_target
@@ -40,12 +40,18 @@ def farewell(
     """
     if loop is None or known.attitude is None:
         return ()
-    level = AttitudeTarget(0.0, attitude=(0.0, 0.0, known.attitude.attitude[2]))
+    level = AttitudeTarget(0.0, attitude=(0.0, 0.0, _heading(loop, known.attitude)))
     words = [level]
     if _keeps_to_rates(settings, known):
         words = [AttitudeTarget(0.0, body_rates=(0.0, 0.0, 0.0)), level]
     checked = [_with_thrust(settings, loop, flight, known, word) for word in words]
     return tuple(word for word in checked if word is not None)
+
+
+def _heading(loop: LoopState, measured: AttitudeReceived) -> float:
+    """As measured, or that of the level setpoint before: what was told in a silence is not told anew."""
+    sent = None if loop.sent is None else loop.sent.attitude
+    return measured.attitude[2] if sent is None or sent[:2] != (0.0, 0.0) else sent[2]
 
 
 def _keeps_to_rates(settings: ServiceSettings, known: Telemetry) -> bool:

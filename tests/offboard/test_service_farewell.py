@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind
@@ -137,3 +138,23 @@ def test_what_would_be_said_last_is_known_while_in_control_and_only_then(fake):
     assert flight.service.state is State.ENGAGED
     assert flight.service.last_words()[:2] == [still, target]
     assert not flight.service.has_control and flight.service.last_setpoints() == ()
+
+
+def test_the_heading_that_was_told_in_a_silence_is_not_told_anew(fake):
+    """Samples that come again, and end control, may have turned: 2 degrees in a hundredth of a second."""
+    flight = fake.Lockstep(
+        fake.settings(scenario=(Hold(100.0),)), fake.airborne(firmware="ardupilot")
+    ).run_to(State.ENGAGED)
+    flight.run(1.0)
+    flight.mute = {events.AttitudeReceived, events.PositionReceived}
+    flight.run(0.12)
+    flight.mute = {events.PositionReceived}
+    flight.change = lambda event: (
+        structs.replace(event, attitude=(1.2, 0.0, 0.1))
+        if isinstance(event, events.AttitudeReceived)
+        else event
+    )
+    flight.tick()
+    assert flight.service.state is State.FAILSAFE
+    (_, told), (_, last) = flight.sent(events.AttitudeTarget)[-2:]
+    assert told.attitude == last.attitude == pytest.approx((0.0, 0.0, 0.0), abs=1e-9)
