@@ -42,8 +42,10 @@ def hear(doubt: Doubt, time_us: int, reported: EstimateReported) -> Doubt:
 
 
 def doubted(doubt: Doubt, time_us: int, for_s: float = 0.0, *, needs_position: bool) -> str | None:
-    """What has been invalid for `for_s` at least and control needs: attitude and height, and the position
-    with the ring that holds it. None if all is well."""
+    """What has been invalid for `for_s` [s] at least and control needs, or None.
+
+    Attitude and height are always needed, the position with the ring that holds it.
+    """
     for name, since_us in (
         ("attitude", doubt.attitude_us),
         ("height", doubt.height_us),

@@ -105,5 +105,7 @@ def test_what_was_said_before_the_autopilot_fell_silent_does_not_count(fake):
     hear(flight, BAD["position"], 2.0)
     flight.mute = {events.HeartbeatReceived}
     flight.run(4.0)
+    assert flight.service.state is State.WAITING
     flight.mute = set()
     flight.run_to(State.ENGAGED)
+    assert flight.texts[-1] == "engaged"
