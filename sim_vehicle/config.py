@@ -157,7 +157,9 @@ class PayloadSection(Section):
 
     offset_m: tuple[Arm, Arm, Arm] = payload.DEFAULT_OFFSET
     rope_length_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
-    """The load swings on a rope of this length below the centre; 0: it is held rigidly at offset_m."""
+    """The load swings on a rope of this length; 0: it is held rigidly at offset_m."""
+    rope_below_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
+    """So far below the centre the rope is fastened."""
     gripper_mass_kg: float = 5.0
     clock: Literal["airborne", "boot"] = "airborne"
     schedule: tuple[LoadChange, ...] = ()

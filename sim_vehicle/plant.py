@@ -56,7 +56,7 @@ class Plant:
         self._gust = np.zeros(3)
         self._steady = environment.inputs_at(self._wind, self._gust, 0.0) if self._wind.steady else None
         self._faults = config.faults
-        self._rope = Rope(config.payload.rope_length_m)
+        self._rope = Rope(config.payload.rope_length_m, config.payload.rope_below_m)
         self._faulty = config.faults != FaultsSection()
 
     def step(self, motor_commands: Array) -> None:
@@ -69,8 +69,10 @@ class Plant:
             felt = surroundings.wind_velocity + faults.wind(self._faults, now_s)
             surroundings = replace(surroundings, wind_velocity=felt)
         if self._rope.mass_kg > 0.0:
-            pull = self._rope.step(self.body, self.state.rigid, self.dt)
-            surroundings = replace(surroundings, force=surroundings.force + pull)
+            force, torque = self._rope.step(self.body, self.state.rigid, self.dt)
+            surroundings = replace(
+                surroundings, force=surroundings.force + force, torque=surroundings.torque + torque
+            )
         self.state = airframe.step(self.body, self.state, motor_commands, surroundings, self.dt)
         self.time_us += self.step_us
 
@@ -112,6 +114,7 @@ class Plant:
             self.load_kg,
             armed,
             mode_name,
+            self._rope.angle,
         )
 
     def _follow_schedule(self) -> None:

@@ -1,22 +1,25 @@
-"""A load that swings: a point mass on a massless rope from the airframe's centre, taut or slack.
+"""A load that swings: a point mass on a massless rope, taut or slack, from a hook below the centre.
 
-Relative to the vehicle the load has direction n (unit vector, down when at rest), length L and velocity w.
-With the vehicle's acceleration a without rope, a taut rope keeps its length if
+Relative to the hook the load has direction n (unit vector, down when at rest), length L and velocity w.
+With the hook's acceleration a without rope, a taut rope keeps its length if
 
     n . (g - T n / m - a - T n / M) = -|w|^2 / L   =>   T = (n . (g - a) + |w|^2 / L) / (1/m + 1/M),
 
-which is never negative: a rope does not push, the load then falls freely. World axes, (3,) or (3, N); SI.
+which is never negative: a rope does not push, the load then falls freely. That the hook also gives way
+because the rope turns the vehicle is left out of T, and comes with the next step's a. World axes, (3,) or
+(3, N); SI.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import atan2, hypot
 
 import numpy as np
 
 from sim_vehicle.airframe import AirframeParameters
-from sim_vehicle.dynamics import POSITION, VELOCITY
-from sim_vehicle.frames import Array, Row
+from sim_vehicle.dynamics import BODY_RATES, EULER, POSITION, VELOCITY
+from sim_vehicle.frames import Array, Row, rotation_matrix
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -79,36 +82,50 @@ def step(
 
 
 class Rope:
-    """The rope of one vehicle and what hangs on it; lower than its length the load lies on the ground."""
+    """The rope of one vehicle and what hangs on it; lower than its length the load lies on the ground.
 
-    def __init__(self, length: float) -> None:
+    `length` [m], from a hook `below` [m] the airframe's centre.
+    """
+
+    def __init__(self, length: float, below: float = 0.0) -> None:
         self.length = length
+        self._hook = np.array([0.0, 0.0, -below])
         self.mass_kg = 0.0
         self._state = hanging(length, np.zeros(3))
         self._before: Array | None = None
         self._force = np.zeros(3)
 
     def hang(self, mass_kg: float, velocity: Array) -> None:
-        """Another load [kg], at rest below the vehicle; 0 for none."""
+        """Another load [kg], at rest below a vehicle with that velocity; 0 for none."""
         self.mass_kg, self._state = mass_kg, hanging(self.length, velocity)
         self._before, self._force = None, np.zeros(3)
 
     @property
     def offset(self) -> Array:
-        """Of the load from the vehicle's centre (3,) [m], world."""
+        """Of the load from the hook (3,) [m], world."""
         return self._state.offset
 
-    def step(self, body: AirframeParameters, rigid: Array, dt: float) -> Array:
-        """Force (3,) [N] on the vehicle during the step that begins with the state `rigid` (12,)."""
-        velocity = rigid[VELOCITY].copy()
+    @property
+    def angle(self) -> float:
+        """From the vertical, rad; 0 if nothing hangs on it."""
+        x, y, z = self._state.offset.tolist()
+        return atan2(hypot(x, y), -z) if self.mass_kg > 0.0 else 0.0
+
+    def step(self, body: AirframeParameters, rigid: Array, dt: float) -> tuple[Array, Array]:
+        """What pulls during the step that begins with the state `rigid` (12,).
+
+        Force on the vehicle (3,) [N], world, and its torque about the centre (3,) [N m], in body axes.
+        """
+        rotation = rotation_matrix(rigid[EULER])
+        velocity = rigid[VELOCITY] + rotation @ np.cross(rigid[BODY_RATES], self._hook)
         before, self._before = self._before, velocity
         if rigid[POSITION][2] < self.length:
             self._state, self._force = hanging(self.length, velocity), np.zeros(3)
-            return self._force
+            return self._force, np.zeros(3)
         free = np.zeros(3)
         if before is not None:
             free = (velocity - before) / dt - self._force / body.base_mass
         self._state, self._force = step(
             self._state, self.length, self.mass_kg, body.base_mass, velocity, free, body.gravity, dt
         )
-        return self._force
+        return self._force, np.cross(self._hook, rotation.T @ self._force)

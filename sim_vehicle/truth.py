@@ -10,7 +10,7 @@ from typing import NamedTuple, TextIO
 
 COLUMNS = (
     *("time_s", "x", "y", "z", "vx", "vy", "vz", "roll", "pitch", "yaw", "p", "q", "r"),
-    *("thrust_n", "load_mass_kg", "armed", "mode", "event"),
+    *("thrust_n", "load_mass_kg", "load_swing", "armed", "mode", "event"),
 )
 """Columns of the CSV."""
 
@@ -22,7 +22,10 @@ PERIOD_US = 10_000
 
 
 class TruthRow(NamedTuple):
-    """One instant: time [s], rigid-body state (12), total thrust [N], load [kg], armed, mode, event text."""
+    """One instant: time [s], rigid-body state (12), total thrust [N], load [kg], armed, mode, event text.
+
+    `load_swing` is the angle [rad] of a rope with a load from the vertical; 0 without.
+    """
 
     time_s: float
     state: tuple[float, ...]
@@ -31,6 +34,7 @@ class TruthRow(NamedTuple):
     armed: bool
     mode: str
     event: str
+    load_swing: float = 0.0
 
 
 class TruthEvent(NamedTuple):
@@ -66,12 +70,14 @@ class TruthRecorder:
         load_mass_kg: float,
         armed: bool,
         mode: str,
+        load_swing: float = 0.0,
     ) -> None:
         """Append a row."""
         text = "; ".join(self._pending)
         self._pending.clear()
         self._last_us = time_us
-        self.rows.append(TruthRow(time_us * 1e-6, tuple(state), thrust_n, load_mass_kg, armed, mode, text))
+        row = TruthRow(time_us * 1e-6, tuple(state), thrust_n, load_mass_kg, armed, mode, text, load_swing)
+        self.rows.append(row)
 
     def time_of(self, text: str) -> float | None:
         """Time [s] of the first event whose text starts with `text`."""
@@ -98,6 +104,7 @@ class TruthFile:
                     *(f"{value:.6g}" for value in row.state),
                     f"{row.thrust_n:.6g}",
                     f"{row.load_mass_kg:.6g}",
+                    f"{row.load_swing:.6g}",
                     int(row.armed),
                     row.mode,
                     row.event,

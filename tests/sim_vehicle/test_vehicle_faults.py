@@ -1,13 +1,15 @@
 """What breaks on the vehicle, and a load on a rope."""
 
-from math import pi, sin, sqrt
+from dataclasses import replace
+from math import acos, atan2, pi, sin, sqrt
 
 import numpy as np
 import pytest
 
-from sim_vehicle import faults, swing
+from sim_vehicle import airframe, environment, faults, swing
 from sim_vehicle.config import build
 from sim_vehicle.config_faults import BatterySag, FaultsSection, Gust, ThrustLimit, WeakMotor
+from sim_vehicle.plant import Plant
 
 HALF = np.full(4, 0.5)
 DT = 0.0025
@@ -82,3 +84,73 @@ def test_a_rope_does_not_push():
     state = swing.SwingState(np.array([0.0, 0.0, 1.0]), np.zeros(3))  # the load above, at rest
     _, force = swing.step(state, 1.0, 2.0, 10.0, np.zeros(3), np.zeros(3), 9.8, DT)
     assert force.tolist() == [0.0, 0.0, 0.0]
+
+
+def tilted():
+    """Vehicle state (12,): at 20 m, rolled and pitched and turning, and moving."""
+    rigid = np.zeros(12)
+    rigid[2:9] = (20.0, 0.5, -0.3, 0.2, 0.2, -0.1, 0.4)
+    rigid[9:12] = (0.5, -0.4, 0.3)
+    return rigid
+
+
+def test_vehicle_and_load_on_a_rope_keep_what_momentum_they_have_together():
+    """Falling, without drag: sideways none comes in, downwards weight alone, however the hook turns."""
+    body = airframe.AirframeParameters(drag=0.0, ground=None)
+    state, rope = airframe.initial_state(tilted()), swing.Rope(1.5, below=0.2)
+    rope.hang(4.0, state.velocity)
+    rope._state.velocity[:] += (1.0, 2.0, -1.0)
+    seconds, momentum = 1.0, []
+    for _ in range(round(seconds / DT) + 1):
+        momentum.append(body.base_mass * state.velocity + 4.0 * rope._state.velocity)
+        force, torque = rope.step(body, state.rigid, DT)
+        inputs = environment.EnvironmentInputs(force=force, torque=torque)
+        state = airframe.step(body, state, np.zeros(4), inputs, DT)
+    assert np.linalg.norm(rope.offset) == pytest.approx(1.5, rel=0.01)
+    gained = np.array(momentum[-1]) - momentum[0]
+    assert gained == pytest.approx([0.0, 0.0, -14.0 * 9.8 * seconds], abs=1e-6)
+
+
+def test_from_a_hook_below_the_centre_the_rope_turns_the_vehicle_and_from_the_centre_it_does_not():
+    body, level = airframe.AirframeParameters(), np.zeros(12)
+    level[2] = 5.0
+    for below in (0.0, 0.2):
+        rope = swing.Rope(1.0, below=below)
+        rope.hang(5.0, np.zeros(3))
+        rope._state.offset[:] = (0.6, 0.0, -0.8)  # the load is to the north
+        force, torque = rope.step(body, level, DT)
+        assert rope.angle == pytest.approx(atan2(0.6, 0.8), abs=0.01)
+        assert force[0] > 10.0 and force[1] == 0.0 and force[2] == pytest.approx(-force[0] * 0.8 / 0.6)
+        assert torque == pytest.approx([0.0, -below * force[0], 0.0])  # nose up: the hook is drawn north
+
+
+def test_the_hook_is_where_the_vehicle_turns_it():
+    """Rolled by a quarter turn, a load that hangs straight below pulls on a lever of its whole length."""
+    body, rolled = airframe.AirframeParameters(), np.zeros(12)
+    rolled[2], rolled[6] = 5.0, 0.5 * pi
+    rope = swing.Rope(1.0, below=0.2)
+    rope.hang(5.0, np.zeros(3))
+    force, torque = rope.step(body, rolled, DT)
+    assert force == pytest.approx([0.0, 0.0, force[2]]) and force[2] < -10.0
+    assert torque == pytest.approx([0.2 * force[2], 0.0, 0.0])  # back to level
+
+
+def test_the_swing_of_a_load_is_in_the_truth():
+    simulated = build({"payload": {"rope_length_m": 1.0, "clock": "boot"}}, "x")
+    plant = Plant(simulated, np.random.default_rng(0))
+    rigid = np.zeros(12)
+    rigid[2] = 5.0
+    share = plant.body.hover_thrust(5.0)
+    plant.state = replace(airframe.initial_state(rigid), motor_thrust=np.full(4, share * 246.0 / 4.0))
+    plant.record(True, "x")
+    plant.set_load(5.0)
+    plant._rope._state.velocity[0] = 2.0
+    angles = []
+    for _ in range(400):
+        plant.step(np.full(4, share))
+        plant.record(True, "x")
+        angles.append(plant.truth.rows[-1].load_swing)
+    assert plant.truth.rows[0].load_swing == 0.0
+    # 2 m/s lift it by v^2 / 2g of the part that the vehicle does not follow with: 10 of 15 kg.
+    highest = acos(1.0 - 2.0**2 / (2.0 * 9.8) * 10.0 / 15.0)
+    assert max(angles) == pytest.approx(highest, rel=0.03)
