@@ -35,6 +35,7 @@ from kffa_offboard.offboard.settings import (
     ServiceSettings,
     TelemetrySettings,
 )
+from kffa_offboard.offboard.swinging import for_swinging_load
 from kffa_offboard.offboard.tuning import TuningProblem, TuningStore
 from kffa_offboard.process.realtime import RealtimeSettings
 
@@ -263,11 +264,11 @@ def _service(tables: ConfigFile, overrides: Overrides) -> ServiceSettings:
         limits=limits,
         sequence=_record(SequenceSettings, tables.sequence),
         flight=_record(FlightSettings, tables.flight),
-        position=tables.position.settings(tables.control),
+        position=tables.position.settings(tables.control, tables.payload.rope_length_m),
         payload=tables.payload.settings(tables.control),
     )
     check_together(tables)
-    return settings
+    return for_swinging_load(settings) if tables.payload.rope_length_m > 0.0 else settings
 
 
 def _record(record: type[Record], table: Table) -> Record:

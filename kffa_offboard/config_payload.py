@@ -15,6 +15,7 @@ from kffa_offboard.offboard.payload_settings import PayloadSettings
 
 Mass = Annotated[float | None, number("kg", above=0.0, at_most=10000.0)]
 Duration = Annotated[float, number("s", above=0.0, at_most=30.0)]
+Rope = Annotated[float, number("m", at_least=0.0, at_most=1000.0)]
 
 
 class PayloadTable(Table):
@@ -24,9 +25,13 @@ class PayloadTable(Table):
     a disturbance and nothing is reported. `gripper_open_s`, from the gripper's command at the autopilot
     to the load's leaving, lets a commanded release step the thrust at once: measure it, a guess that is
     0.1 s wrong is no better than none.
+
+    `rope_length_m` is the length of the rope on which loads swing, weighed or not; 0 for loads that are held
+    rigidly. The position ring is another one then, which damps the swing (`control/pendulum.py`).
     """
 
     enabled: bool = True
+    rope_length_m: Rope = 0.0
     vehicle_mass_kg: Mass = None
     max_load_kg: Mass = None
     hover_thrust_uncertainty: Annotated[float, number(at_least=0.0, at_most=0.5)] = 0.01

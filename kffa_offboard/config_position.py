@@ -13,6 +13,7 @@ from pydantic import model_validator
 
 from kffa_offboard.config_control import Bandwidth, ControlTable, Delay, OptionalDelay, Table
 from kffa_offboard.config_units import number
+from kffa_offboard.control.controllers import ControllerName
 from kffa_offboard.control.position import PositionDesign, design_ring
 from kffa_offboard.offboard.settings import PositionSettings
 
@@ -25,6 +26,9 @@ class PositionTable(Table):
     `delay_s` and `lag_s` describe how a roll or pitch reference becomes roll or pitch: link, tracking
     differentiator and attitude loop; `prediction_s`, how far ahead of the estimate the law looks, is their
     sum if left out. Needs LOCAL_POSITION_NED with x and y.
+
+    Where a load swings on a rope (`payload.rope_length_m`, or it shows) the ring goes on as a PID with three
+    poles at a quarter of `omega_c`, which damps the swing.
     """
 
     enabled: bool = False
@@ -55,12 +59,26 @@ class PositionTable(Table):
             )
         return self
 
-    def settings(self, control: ControlTable) -> PositionSettings | None:
+    def settings(self, control: ControlTable, rope_length_m: float) -> PositionSettings | None:
         """What the service flies with, by the controller of `control`; None if not enabled."""
         if not self.enabled:
             return None
+        numbers, damps = self.numbers(control), damping_controller(control)
+        return PositionSettings(
+            ring=design_ring(control.controller, numbers),
+            tilt_max_rad=radians(self.tilt_max_deg),
+            braking_m_s2=self.braking_m_s2,
+            error_max_m=self.error_max_m,
+            jump_m=self.jump_m,
+            speed_max_m_s=self.speed_max_m_s,
+            damping=None if damps == control.controller else design_ring(damps, numbers),
+            on_rope=rope_length_m > 0.0,
+        )
+
+    def numbers(self, control: ControlTable) -> PositionDesign:
+        """Those of the ring."""
         prediction = self.delay_s + self.lag_s if self.prediction_s is None else self.prediction_s
-        numbers = PositionDesign(
+        return PositionDesign(
             omega_c=self.omega_c,
             omega_o=self.omega_o,
             omega_c_range=self.omega_c_range,
@@ -77,11 +95,8 @@ class PositionTable(Table):
             rules=control.rules,
             literal_filter=control.kalman == "literal",
         )
-        return PositionSettings(
-            ring=design_ring(control.controller, numbers),
-            tilt_max_rad=radians(self.tilt_max_deg),
-            braking_m_s2=self.braking_m_s2,
-            error_max_m=self.error_max_m,
-            jump_m=self.jump_m,
-            speed_max_m_s=self.speed_max_m_s,
-        )
+
+
+def damping_controller(control: ControlTable) -> ControllerName:
+    """By which controller the ring damps a load that swings: the one that flies if it does, else a PID."""
+    return control.controller if control.controller in ("pid", "cascaded-pid") else "pid"

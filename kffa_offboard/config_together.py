@@ -8,7 +8,10 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from kffa_offboard.config_control import AttitudeAxisTable, ChannelTable, ControlTable
+from kffa_offboard.config_position import damping_controller
 from kffa_offboard.config_tables import ConfigFile, TakeoffTable
+from kffa_offboard.control.pendulum import damped_ropes
+from kffa_offboard.control.position import answer_of
 
 MOST_DELAY, MOST_PREDICTION = 1.5, 2.0
 """Of 1 / omega_c, s: with a longer delay, or a look further ahead, the loop oscillates."""
@@ -23,6 +26,10 @@ MOST_RING_DELAY = 1.5
 """Of 1 / omega_c of the position ring, s: delay and lag of the attitude loop below it."""
 
 
+EQUAL_LOAD = 1.0
+"""Of the vehicle's mass: the load on a rope where the heaviest is not told."""
+
+
 def check_together(tables: ConfigFile) -> None:
     """Raise ValueError, one line with keys, values and remedy, for the first combination that cannot fly."""
     problem = (
@@ -32,6 +39,7 @@ def check_together(tables: ConfigFile) -> None:
         or _short_ramp(tables)
         or _rare_telemetry(tables)
         or _late_attitude(tables)
+        or _swinging_load(tables)
     )
     if problem is not None:
         raise ValueError(problem)
@@ -138,3 +146,26 @@ def _late_attitude(tables: ConfigFile) -> str | None:
             f"{MOST_RING_DELAY / told:.3g} rad/s at the most, usually a third of it"
         )
     return None
+
+
+def _swinging_load(tables: ConfigFile) -> str | None:
+    """Outside of some lengths of the rope the ring drives the load instead of damping it."""
+    ring, payload, control = tables.position, tables.payload, tables.control
+    numbers, length = ring.numbers(control), payload.rope_length_m
+    answer = answer_of(damping_controller(control), numbers)
+    if not ring.enabled or length == 0.0 or answer is None:
+        return None
+    heaviest = EQUAL_LOAD
+    if payload.max_load_kg is not None and payload.vehicle_mass_kg is not None:
+        heaviest = payload.max_load_kg / payload.vehicle_mass_kg
+    damped = damped_ropes(answer, numbers.delay, numbers.lag, heaviest, numbers.gravity)
+    if damped is not None and damped[0] <= length <= damped[1]:
+        return None
+    told = f"position.omega_c = {ring.omega_c:g} and delay_s + lag_s = {ring.delay_s + ring.lag_s:g}"
+    if damped is None:
+        return f"payload.rope_length_m = {length:g}: with {told} the ring damps no swing; lower omega_c"
+    remedy = "lower omega_c" if length > damped[1] else "take a longer rope, or hold the load rigidly"
+    return (
+        f"payload.rope_length_m = {length:g}: the position ring would drive the swing; with {told} it damps "
+        f"that of {damped[0]:.2g} to {damped[1]:.2g} m; {remedy}"
+    )

@@ -216,6 +216,24 @@ def test_a_bad_value_is_one_line_with_key_value_and_remedy(
             "position.omega_c = 10: is too much for delay_s + lag_s = 0.22; give 6.82 rad/s at the most, "
             "usually a third of it",
         ),
+        (
+            "[position]\nenabled = true\n[payload]\nrope_length_m = 0.5",
+            "payload.rope_length_m = 0.5: the position ring would drive the swing; with position.omega_c = 2 "
+            "and delay_s + lag_s = 0.22 it damps that of 0.65 to 53 m; "
+            "take a longer rope, or hold the load rigidly",
+        ),
+        (
+            "[position]\nenabled = true\n"
+            "[payload]\nrope_length_m = 60\nvehicle_mass_kg = 10\nmax_load_kg = 2",
+            "payload.rope_length_m = 60: the position ring would drive the swing; with position.omega_c = 2 "
+            "and delay_s + lag_s = 0.22 it damps that of 0.39 to 53 m; lower omega_c",
+        ),
+        (
+            "[position]\nenabled = true\ndelay_s = 0.5\nlag_s = 0.5\nomega_c = 1.5\n"
+            "[payload]\nrope_length_m = 3",
+            "payload.rope_length_m = 3: with position.omega_c = 1.5 and delay_s + lag_s = 1 the ring damps "
+            "no swing; lower omega_c",
+        ),
     ],
 )
 def test_numbers_that_do_not_fly_together_are_refused_with_the_remedy(

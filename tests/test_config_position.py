@@ -45,6 +45,40 @@ def test_the_numbers_reach_the_ring(tmp_path: Path) -> None:
     assert position.ring.acceleration_max == pytest.approx(STANDARD_GRAVITY * np.tan(radians(15.0)))
 
 
+ROPE = "[position]\nenabled = true\nomega_c = 1.5\n[payload]\nrope_length_m = 4\n"
+
+
+def test_a_rope_brings_a_ring_that_damps_and_roll_and_pitch_that_yield(tmp_path: Path) -> None:
+    told = load(written(tmp_path, ROPE)).service
+    assert told.position is not None and told.position.on_rope and told.position.damping is not None
+    assert told.position.ring.controller.name == "kffa-ladrc"  # it observes until setpoints act
+    damping = told.position.damping.controller.pid
+    assert damping is not None and damping.kd.tolist() == pytest.approx([3 * 0.375] * 2)
+    assert told.controller.law is not None and told.controller.law.rejection is not None
+    assert told.controller.law.rejection.tolist() == [0.0, 0.0, 1.0, 1.0]
+
+
+def test_without_one_both_are_ready_for_a_swing_that_shows(tmp_path: Path) -> None:
+    service = load(written(tmp_path, "[position]\nenabled = true\n")).service
+    assert service.position is not None and service.position.damping is not None
+    assert not service.position.on_rope
+    assert service.controller.law is not None and service.controller.law.rejection is None
+
+
+@pytest.mark.parametrize("name", ["pid", "cascaded-pid"])
+def test_a_ring_by_pid_damps_by_itself(tmp_path: Path, name: str) -> None:
+    text = f'[control]\ncontroller = "{name}"\n' + ROPE
+    service = load(written(tmp_path, text)).service
+    assert service.position is not None and service.position.ring.controller.pid is not None
+    assert service.position.damping is None and service.controller.law is None
+
+
+def test_without_the_ring_a_rope_makes_roll_and_pitch_yield(tmp_path: Path) -> None:
+    service = load(written(tmp_path, "[payload]\nrope_length_m = 0.2\n")).service
+    assert service.position is None
+    assert service.controller.law is not None and service.controller.law.rejection is not None
+
+
 def test_a_move_becomes_a_segment(tmp_path: Path) -> None:
     service = load(written(tmp_path, "[position]\nenabled = true\n" + MOVE)).service
     assert service.scenario == (Move(3.0, 0.0, 5.0, 2.0),)

@@ -323,5 +323,5 @@ def _adrc_command(
     kp, kd = ladrc.gains(law, omega_c)
     forward = law.acceleration_feedforward * tracked.acceleration
     reference = (tracked.position, tracked.rate, forward)
-    unlimited = ladrc.command(parameters.model, estimates, reference, kp, kd)
+    unlimited = ladrc.command(parameters.model, estimates, reference, kp, kd, law.rejection)
     return unlimited, omega_c

@@ -30,12 +30,15 @@ class LawParameters:
         Share of the reference's acceleration in u0; 0 is the paper's eq 25.
     kp, kd : 1/s^2, 1/s, or None
         Gains chosen one by one (the WB-LADRC); None takes the bandwidth form.
+    rejection : 0..1, or None
+        Share of the estimated disturbance that the command meets; None meets all of it (eq 24).
     """
 
     omega_c: Array
     acceleration_feedforward: float = 0.0
     kp: Array | None = None
     kd: Array | None = None
+    rejection: Array | None = None
 
 
 def gains(parameters: LawParameters, omega_c: Array) -> tuple[Array, Array]:
@@ -51,6 +54,7 @@ def command(
     reference: tuple[Array, Array, Array],
     kp: Array,
     kd: Array,
+    rejection: Array | None = None,
 ) -> Array:
     """Control law: u = (u0 - s3) / b0 with u0 = kp (r - s1) + kd (dr/dt - s2) + d2r/dt2 (eq 24-25).
 
@@ -59,6 +63,7 @@ def command(
     reference : three of (4[, N])
         Output of the tracking differentiator and its first two derivatives, unwrapped near
         ``state.estimate``; a zero second derivative is eq 25 as printed.
+    rejection : see `LawParameters`
 
     Returns
     -------
@@ -67,7 +72,8 @@ def command(
     position, rate, acceleration = reference
     u0 = kp * (position - state.estimate) + kd * (rate - state.rate) + acceleration
     known = column(model.damping, position) * state.rate + column(model.stiffness, position) * state.estimate
-    wanted: Array = (u0 + known - state.disturbance) / column(model.b0, position)
+    met = state.disturbance if rejection is None else column(rejection, position) * state.disturbance
+    wanted: Array = (u0 + known - met) / column(model.b0, position)
     return wanted
 
 

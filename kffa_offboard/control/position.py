@@ -15,6 +15,9 @@ no coupling; tilt is limited (the direction of the acceleration stays) and the o
 command; the inner attitude loop is this ring's actuator, with its delay and lag. Where the measured
 attitude is known, the observer is told the acceleration that *it* gives, whatever the inner loop made of the
 command, and delay and lag only say how the commands under way will act.
+
+A load on a rope is another plant, which this law drives to swing (`pendulum.py`): there a PID goes on
+(`going_on`).
 """
 
 from __future__ import annotations
@@ -42,6 +45,17 @@ def _pid_gains(omega_c: float) -> Array:
     """
     w = omega_c / 4.0
     return np.repeat([[3.0 * w**2], [w**3], [3.0 * w]], 2, axis=1)
+
+
+def answer_of(name: controllers.ControllerName, numbers: PositionDesign) -> tuple[float, float, float] | None:
+    """Acceleration against a displacement, kp [1/s^2], ki [1/s^3], kd [1/s]; None for what is no PID."""
+    if name == "pid":
+        kp, ki, kd = _pid_gains(numbers.omega_c)[:, 0].tolist()
+        return kp, ki, kd
+    if name == "cascaded-pid":
+        p, i, d = numbers.cascade_gains
+        return d * p + i, i * p, d
+    return None
 
 
 @dataclass(frozen=True)
@@ -248,6 +262,22 @@ def step(
     shortened = np.asarray(output.saturated | (command != output.command))
     output = replace(output, command=command, saturated=shortened)
     return state, PositionOutput(attitude_of(parameters.gravity, command, inputs.yaw), output)
+
+
+def going_on(
+    parameters: PositionParameters, state: controllers.ControllerState, disturbance: Array
+) -> controllers.ControllerState:
+    """The state with which a ring by PID goes on from another one.
+
+    `disturbance` (2[, N]) [m/s^2] is what that one has found, and its integral begins with.
+    """
+    observed, command = state.observer, -disturbance
+    fresh = initial_state(parameters, observed.estimate, command)
+    return replace(
+        fresh,
+        differentiator=state.differentiator,
+        pid=replace(fresh.pid, integral=command, rate=observed.rate),
+    )
 
 
 def _reanchored(state: controllers.ControllerState, acceleration: Array) -> controllers.ControllerState:

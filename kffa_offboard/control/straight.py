@@ -297,6 +297,7 @@ def _structure(parameters: ControllerParameters, with_rate: bool) -> tuple[Any, 
         None if fuzzy is None else fuzzy.rules,
         parameters.prediction is None,
         law.acceleration_feedforward,
+        None if law.rejection is None else law.rejection.tobytes(),
         *(array.shape for array in _parameter_arrays(parameters)),
     )
 

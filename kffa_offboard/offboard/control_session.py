@@ -7,15 +7,29 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from kffa_offboard.control import controllers, payload
 from kffa_offboard.control.plain import Vector
 from kffa_offboard.offboard import echo, telemetry
 from kffa_offboard.offboard.events import Severity, TargetReported
 from kffa_offboard.offboard.flight import AIR, Directive, FlightSample, begin_flight, step_flight
-from kffa_offboard.offboard.loop import LoopStep, Order, signals, step_loop, write_out
+from kffa_offboard.offboard.loop import LoopStep, Order, signals, step_loop
 from kffa_offboard.offboard.request_session import RequestSession
 from kffa_offboard.offboard.sequence import EngagePhase, microseconds, mode_granted
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.state import ENGAGED, ENGAGING, RELEASING, SENDING
+from kffa_offboard.offboard.swinging import for_swinging_load
+
+SWINGS = "the load swings: damping it"
+
+
+def write_out(settings: ServiceSettings) -> None:
+    """Do before the first sample what takes longest in the first steps: `control.straight`."""
+    controllers.write_out(settings.controller, with_rate=True)
+    if settings.position is not None:
+        controllers.write_out(settings.position.ring.controller, with_rate=True)
+        controllers.write_out(for_swinging_load(settings).controller, with_rate=True)
+    if settings.payload is not None:
+        payload.write_out(settings.payload.estimator)
 
 
 class ControlSession(RequestSession):
@@ -40,6 +54,9 @@ class ControlSession(RequestSession):
             self._outputs.append(result.target)
             self._echo = echo.send(self._echo, time_us, result.target.thrust)
         self._stepped = order, result
+        if self._loop.swings and SWINGS not in self._said:
+            self._say_once(Severity.WARNING, SWINGS)
+            self._retune(self.settings)
         if result.fault is not None:
             self._fault(time_us, result.fault)
             return

@@ -4,6 +4,10 @@ Without `ServiceSettings.position` nothing here does anything, and the scenario'
 pass. With it the ring runs at every control step, in shadow, too. Whatever aligns the reference generators
 (standing on the ground, lift-off, engaging in the air) also captures the place where the vehicle would
 come to rest; from then on that place, moved by the scenario, is held.
+
+A load that swings on a rope would be driven by the ring (`control/pendulum.py`). Where a rope is told, or
+the swing shows, another one holds the place while the daemon's setpoints act; at other times the first one
+observes.
 """
 
 from __future__ import annotations
@@ -12,12 +16,14 @@ from math import hypot
 
 import numpy as np
 from msgspec import Struct
+from msgspec.structs import replace
 
 from kffa_offboard.control import Array, controllers, position
 from kffa_offboard.offboard.events import PositionReceived
 from kffa_offboard.offboard.flight import Directive
 from kffa_offboard.offboard.reference import Offset, Reference
 from kffa_offboard.offboard.settings import PositionSettings
+from kffa_offboard.offboard.swinging import NO_SWING, Swing, steady_part, watch_swing
 from kffa_offboard.offboard.telemetry import Telemetry
 
 
@@ -30,12 +36,23 @@ class HorizontalState(Struct, frozen=True, gc=False):
     captured : m, x and y of the place that was captured
     hold_offset : m, where the vehicle comes to rest if it is told to hold now, from `captured`
     error : m, distance between the tracked set point and the estimate while it is being held, else 0
+    swing : the disturbance as far as it may be a load that swings
+    swings : there is such a load
+    damps : `ring` is the state of the ring that damps
     """
 
     ring: controllers.ControllerState
     captured: Offset
     hold_offset: Offset = (0.0, 0.0)
     error: float = 0.0
+    swing: Swing = NO_SWING
+    swings: bool = False
+    damps: bool = False
+
+
+def flown_ring(settings: PositionSettings, state: HorizontalState) -> position.PositionParameters:
+    """Of the two rings the one that `state.ring` is of."""
+    return settings.damping if state.damps and settings.damping is not None else settings.ring
 
 
 def begin_horizontal(settings: PositionSettings | None, known: Telemetry) -> HorizontalState | None:
@@ -70,10 +87,11 @@ def step_horizontal(
     grounded = directive.ground_thrust is not None
     # On the ground the gear takes what the attitude gives.
     acceleration = np.zeros(2) if grounded else _acceleration(settings, known)
-    ring, captured = state.ring, state.captured
+    state = _with_fitting_ring(settings, state, known, acting)
+    parameters, ring, captured = flown_ring(settings, state), state.ring, state.captured
     if directive.align:
-        ring = position.align_reference(settings.ring, ring)
-        stop = _stop(settings, ring)
+        ring = position.align_reference(parameters, ring)
+        stop = _stop(settings, parameters, ring)
         captured = (stop[0] - directive.offset[0], stop[1] - directive.offset[1])
     inputs = position.PositionInput(
         reference=np.add(captured, directive.offset),
@@ -83,20 +101,41 @@ def step_horizontal(
         measured_rate=np.array(known.position.velocity[:2]),
         acceleration=acceleration,
     )
-    ring, output = position.step(settings.ring, ring, inputs, dt)
+    ring, output = position.step(parameters, ring, inputs, dt)
+    swing = NO_SWING
     if grounded or not acting:
-        ring = position.with_applied(settings.ring, ring, acceleration)
-    stop = _stop(settings, ring)
+        ring = position.with_applied(parameters, ring, acceleration)
+    elif not state.damps and settings.damping is not None:
+        swing = watch_swing(state.swing, output.ring.disturbance, dt)
+    stop = _stop(settings, parameters, ring)
     away = output.ring.reference - output.ring.estimate
     state = HorizontalState(
         ring,
         captured,
         hold_offset=(stop[0] - captured[0], stop[1] - captured[1]),
         error=0.0 if grounded or not acting else hypot(*away.tolist()),
+        swing=swing,
+        swings=state.swings or swing.shows,
+        damps=state.damps,
     )
     _, _, yaw, altitude = directive.reference
     roll, pitch = (0.0, 0.0) if grounded else output.attitude.tolist()
     return state, (roll, pitch, yaw, altitude)
+
+
+def _with_fitting_ring(
+    settings: PositionSettings, state: HorizontalState, known: Telemetry, acting: bool
+) -> HorizontalState:
+    """The ring that damps goes on from the other one, which begins anew when setpoints act no more."""
+    damps = acting and settings.damping is not None and (settings.on_rope or state.swings)
+    if damps == state.damps:
+        return state
+    if settings.damping is None or not damps:
+        assert known.position is not None
+        place, acceleration = np.array(known.position.position[:2]), _acceleration(settings, known)
+        return replace(state, ring=position.initial_state(settings.ring, place, acceleration), damps=False)
+    wind = steady_part(state.swing, state.ring.observer.disturbance)
+    return replace(state, ring=position.going_on(settings.damping, state.ring, wind), damps=True)
 
 
 def _acceleration(settings: PositionSettings, known: Telemetry) -> Array:
@@ -105,10 +144,12 @@ def _acceleration(settings: PositionSettings, known: Telemetry) -> Array:
     return position.acceleration_of(settings.ring.gravity, np.array(known.attitude.attitude))
 
 
-def _stop(settings: PositionSettings, ring: controllers.ControllerState) -> Offset:
+def _stop(
+    settings: PositionSettings, parameters: position.PositionParameters, ring: controllers.ControllerState
+) -> Offset:
     """Where the vehicle comes to rest with the braking that is reckoned with, m."""
     (x, y), (vx, vy) = ring.observer.estimate.tolist(), ring.observer.rate.tolist()
-    differentiator = settings.ring.controller.differentiator
+    differentiator = parameters.controller.differentiator
     lag = 0.0 if differentiator is None else 2.0 * differentiator.filter_time
     time = lag + 0.5 * hypot(vx, vy) / settings.braking_m_s2
     return x + time * vx, y + time * vy

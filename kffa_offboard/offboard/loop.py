@@ -13,7 +13,7 @@ import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
-from kffa_offboard.control import controllers, payload, vehicle
+from kffa_offboard.control import vehicle
 from kffa_offboard.control.plain import PlainInput, PlainOutput, Vector
 from kffa_offboard.control.rotation import body_rates_of, euler_rates_of, wrap_angle
 from kffa_offboard.offboard.carrying import Carrying, balancing, follow
@@ -80,6 +80,11 @@ class LoopState(Struct, frozen=True, gc=False):
     def hold_offset(self) -> Offset:
         """Where the vehicle comes to rest if it is told to hold now, from the captured position, m."""
         return (0.0, 0.0) if self.horizontal is None else self.horizontal.hold_offset
+
+    @property
+    def swings(self) -> bool:
+        """A load swings that nobody has told of."""
+        return self.horizontal is not None and self.horizontal.swings
 
     def with_controller(self, controller: vehicle.State) -> LoopState:
         """Another controller state."""
@@ -148,15 +153,6 @@ class LoopStep(Struct, frozen=True, gc=False):
     target: AttitudeTarget | None
     trace: Trace
     fault: str | None = None
-
-
-def write_out(settings: ServiceSettings) -> None:
-    """Do before the first sample what takes longest in the first steps: `control.straight`."""
-    controllers.write_out(settings.controller, with_rate=True)
-    if settings.position is not None:
-        controllers.write_out(settings.position.ring.controller, with_rate=True)
-    if settings.payload is not None:
-        payload.write_out(settings.payload.estimator)
 
 
 def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> LoopState | None:

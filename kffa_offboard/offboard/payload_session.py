@@ -33,6 +33,7 @@ from kffa_offboard.offboard.segments import Land
 from kffa_offboard.offboard.sequence import microseconds
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.state import ENGAGED, SENDING, State
+from kffa_offboard.offboard.swinging import for_swinging_load
 from kffa_offboard.offboard.tuning import adopt
 
 GripperAction = Literal["grab", "release"]
@@ -175,6 +176,8 @@ class PayloadSession(EngageSession):
 
     def _retune(self, settings: ServiceSettings) -> None:
         """Go on with other numbers; a hover thrust tells load and disturbance anew from the same thrust."""
+        if self._loop is not None and self._loop.swings:
+            settings = for_swinging_load(settings)
         before, self.settings = self.settings, settings
         told, self._loop = self._loop, adopt(self._loop, before, settings)
         if self._release_plan is not None and told is not None and self._loop is not None:

@@ -271,6 +271,8 @@ class PositionSettings:
     Attributes
     ----------
     ring : from `control.position.design_ring`
+    damping : the ring that takes its place where a load swings on a rope; None if `ring` damps a swing itself
+    on_rope : loads are known to hang on one
     tilt_max_rad : largest tilt that the ring commands
     braking_m_s2 : deceleration that is reckoned with when the place to stop is captured
     error_max_m : distance between set point and estimate that is a failsafe
@@ -284,6 +286,8 @@ class PositionSettings:
     error_max_m: float = 5.0
     jump_m: float = 1.0
     speed_max_m_s: float = 20.0
+    damping: PositionParameters | None = None
+    on_rope: bool = False
 
     def __post_init__(self) -> None:
         _require(self, "position")

@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from kffa_offboard.control import vehicle
 from kffa_offboard.control.retuning import retuned
+from kffa_offboard.offboard.horizontal import flown_ring
 from kffa_offboard.offboard.loop import LoopState
 from kffa_offboard.offboard.settings import ServiceSettings
 
@@ -84,5 +85,6 @@ def adopt(loop: LoopState | None, before: ServiceSettings, after: ServiceSetting
     loop = replace(loop, controller=retuned(before.controller, after.controller, standing))
     if loop.horizontal is None or before.position is None or after.position is None:
         return loop
-    rings = before.position.ring.controller, after.position.ring.controller
+    flown = loop.horizontal
+    rings = flown_ring(before.position, flown).controller, flown_ring(after.position, flown).controller
     return replace(loop, horizontal=replace(loop.horizontal, ring=retuned(*rings, loop.horizontal.ring)))

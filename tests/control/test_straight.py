@@ -24,6 +24,7 @@ VARIANTS = {
     "without fuzzy rules": replace(LADRC, fuzzy=None),
     "without look ahead": replace(LADRC, prediction=None),
     "published rules": replace(LADRC, fuzzy=replace(LADRC.fuzzy, rules="published")),
+    "loads on a rope": replace(LADRC, law=replace(LADRC.law, rejection=np.array([0.0, 0.0, 1.0, 1.0]))),
     "literal filter": replace(LADRC, kalman=replace(LADRC.kalman, model="literal")),
 }
 

@@ -12,10 +12,12 @@ from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, Signals
 from kffa_offboard.offboard.flight import Directive
 from kffa_offboard.offboard.horizontal import begin_horizontal, step_horizontal
+from kffa_offboard.offboard.loop import begin_loop
 from kffa_offboard.offboard.segments import Hold, Land, Move, Step, Takeoff
 from kffa_offboard.offboard.service import State
 from kffa_offboard.offboard.settings import PositionSettings
 from kffa_offboard.offboard.telemetry import Telemetry
+from kffa_offboard.offboard.tuning import adopt
 
 G = 9.8
 
@@ -121,6 +123,48 @@ def test_the_wind_is_known_before_engaging_in_the_air(fake):
     flight.run_to(State.ENGAGED)
     flight.run(0.4)
     assert flight.sent(Signals)[-1][1].reference[0] >= 0.5 / G - 0.005  # leans against it at once
+
+
+# ------------------------------------------------------------------------------------ loads on a rope
+
+
+def on_rope(**changes):
+    numbers = PositionDesign(tilt_max=radians(20.0), **changes)
+    return replace(
+        ring(), ring=design_ring("ladrc", numbers), damping=design_ring("pid", numbers), on_rope=True
+    )
+
+
+def test_the_ring_that_damps_holds_only_while_its_setpoints_act():
+    """Before and afterwards the other one observes: what it finds of the wind is where the first goes on."""
+    tilted = events.AttitudeReceived(1, (0.0, 0.1, 0.0), (0.0, 0.0, 0.0))
+    known = Telemetry(attitude=tilted, position=events.PositionReceived(1, (4.0, 2.0, 0.0), (0.0, 0.0, 0.0)))
+    settings, directive = on_rope(), Directive((0.0, 0.0, 0.0, 3.0))
+    state = begin_horizontal(settings, known)
+    for _ in range(300):
+        state, _ = step_horizontal(settings, state, known, directive, False, True, 0.01)
+    assert not state.damps and state.ring.observer.disturbance[0] == pytest.approx(-0.98, abs=0.05)
+    state, reference = step_horizontal(settings, state, known, directive, True, True, 0.01)
+    assert state.damps and state.ring.pid.integral == pytest.approx([0.98, 0.0], abs=0.05)
+    assert reference[:2] == pytest.approx((0.0, 0.1), abs=0.01)
+    state, _ = step_horizontal(settings, state, known, directive, False, True, 0.01)
+    assert not state.damps and state.ring.kalman is None and state.ring.observer.disturbance.any()
+
+
+def test_its_numbers_can_be_changed_in_flight(fake):
+    before = fake.settings(position=on_rope())
+    after = replace(before, position=on_rope(omega_c=2.5))
+    known = Telemetry(
+        attitude=events.AttitudeReceived(1, (0.0, 0.1, 0.0), (0.0, 0.0, 0.0)),
+        position=events.PositionReceived(1, (4.0, 2.0, 3.0), (0.0, 0.0, 0.0)),
+    )
+    loop = begin_loop(before, known, 0)
+    horizontal, _ = step_horizontal(
+        before.position, loop.horizontal, known, Directive((0.0, 0.0, 0.0, 3.0)), True, True, 0.01
+    )
+    adopted = adopt(structs.replace(loop, horizontal=horizontal), before, after).horizontal
+    assert horizontal.damps and adopted.damps
+    assert adopted.ring.pid.integral == pytest.approx(horizontal.ring.pid.integral)
 
 
 # ------------------------------------------------------------------------------------ engaging
