@@ -116,11 +116,11 @@ def for_swinging_load(settings: ServiceSettings) -> ServiceSettings:
 
 def _follow(axis: Axis, value: float, dt: float) -> Axis:
     since_s = axis.since_s + dt
-    in_time = since_s <= LONGEST_TURN_S
+    turns = axis.turns if since_s <= LONGEST_TURN_S else 0
     fell = axis.rose is not False and value < axis.highest - TURN_M_S2
     if fell or (axis.rose is not True and value > axis.lowest + TURN_M_S2):
         extreme = axis.highest if fell else axis.lowest
         middle = 0.5 * (extreme + axis.extreme)
-        return Axis(value, value, not fell, axis.turns + 1 if in_time else 1, 0.0, extreme, middle)
+        return Axis(value, value, not fell, turns + 1, 0.0, extreme, middle)
     lowest, highest = min(axis.lowest, value), max(axis.highest, value)
-    return Axis(lowest, highest, axis.rose, axis.turns if in_time else 0, since_s, axis.extreme, axis.middle)
+    return Axis(lowest, highest, axis.rose, turns, since_s, axis.extreme, axis.middle)
