@@ -242,10 +242,11 @@ def _fly_in_lockstep(
     over: Callable[[Any], bool] | None = None,
     bridge: type[Bridge] = Bridge,
     load_s: tuple[float, float] = (500.0, 600.0),
+    vehicle: dict[str, Any] | None = None,
 ) -> str:
     """One flight of the daemon with `changes` of its configuration; the last line that it said.
 
-    The load comes and goes at `load_s` after lift-off.
+    The load comes and goes at `load_s` after lift-off; `vehicle` are changes of the simulator's file.
 
     With `over` simulated time goes on until that holds of the bridge; a daemon still there is told to end.
     """
@@ -255,6 +256,8 @@ def _fly_in_lockstep(
         patch.setattr("kffa_offboard.compare.bridge.Bridge", bridge)
         patch.setattr(simulation, "PICKUP_S", load_s[0])
         patch.setattr(simulation, "DROP_S", load_s[1])
+        made = simulation.physics_document
+        patch.setattr(simulation, "physics_document", lambda *given: merged(made(*given), vehicle or {}))
         running = stack.enter_context(simulation.simulation(setup, trial))
         wait_for_head_start(running, lambda time_s, text: None)
         document = merged(daemon_document(setup, trial, running), changes)
