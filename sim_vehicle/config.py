@@ -160,6 +160,8 @@ class PayloadSection(Section):
     """The load swings on a rope of this length; 0: it is held rigidly at offset_m."""
     rope_below_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
     """So far below the centre the rope is fastened."""
+    rope_stiffness_n_m: Annotated[float, Field(ge=0.0, le=50_000.0)] = 0.0
+    """Of the whole rope; 0: it does not stretch. Three metres of nylon cord of 4 mm have about 4,000."""
     gripper_mass_kg: float = 5.0
     clock: Literal["airborne", "boot"] = "airborne"
     schedule: tuple[LoadChange, ...] = ()

@@ -56,7 +56,7 @@ class Plant:
         self._gust = np.zeros(3)
         self._steady = environment.inputs_at(self._wind, self._gust, 0.0) if self._wind.steady else None
         self._faults = config.faults
-        self._rope = Rope(config.payload.rope_length_m, config.payload.rope_below_m)
+        self._rope = _rope(config)
         self._faulty = config.faults != FaultsSection()
 
     def step(self, motor_commands: Array) -> None:
@@ -90,7 +90,7 @@ class Plant:
             return
         if self._rope.length > 0.0:
             check_load_mass(mass_kg)
-            self._rope.hang(mass_kg, self.state.velocity)
+            self._rope.hang(mass_kg, self.state.velocity, self.body.gravity)
         else:
             self.state = airframe.with_load(self.state, mass_kg)
         word = "pick-up" if mass_kg > before else "drop"
@@ -130,6 +130,11 @@ class Plant:
 def _proximity(config: SimConfig) -> Proximity | None:
     e = config.environment
     return e.proximity() if e.ground_effect or e.ceiling_height_m is not None else None
+
+
+def _rope(config: SimConfig) -> Rope:
+    p = config.payload
+    return Rope(p.rope_length_m, p.rope_below_m, p.rope_stiffness_n_m)
 
 
 def _wind(config: SimConfig) -> environment.Wind:

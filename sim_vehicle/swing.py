@@ -8,18 +8,24 @@ With the hook's acceleration a without rope, a taut rope keeps its length if
 which is never negative: a rope does not push, the load then falls freely. That the hook also gives way
 because the rope turns the vehicle is left out of T, and comes with the next step's a. World axes, (3,) or
 (3, N); SI.
+
+A rope that stretches is a spring k with some loss: T = k (distance - L) + c n . w, where it is longer than
+L. Load and vehicle bounce on it with sqrt(k (1/m + 1/M)).
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, hypot
+from math import atan2, hypot, sqrt
 
 import numpy as np
 
 from sim_vehicle.airframe import AirframeParameters
 from sim_vehicle.dynamics import BODY_RATES, EULER, POSITION, VELOCITY
 from sim_vehicle.frames import Array, Row, rotation_matrix
+
+LOSS = 0.05
+"""Damping ratio of a rope that stretches, for instance of nylon."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,6 +59,7 @@ def step(
     free_acceleration: Array,
     gravity: float,
     dt: float,
+    stiffness: float = 0.0,
 ) -> tuple[SwingState, Array]:
     """State `dt` later and the force (3[, N]) [N] of the rope on the vehicle.
 
@@ -61,6 +68,7 @@ def step(
     mass, vehicle_mass : kg
     vehicle_velocity : (3[, N]) m/s
     free_acceleration : (3[, N]) m/s^2; what the vehicle does without the rope
+    stiffness : N/m of the whole rope; 0 for one that does not stretch
     """
     distance = np.sqrt((state.offset**2).sum(axis=0))
     direction = state.offset / distance
@@ -73,7 +81,12 @@ def step(
     # What the finite step left of length and radial speed is taken back within a few steps.
     pull = pull + np.maximum(along, 0.0) / (4.0 * dt) + np.maximum(distance - length, 0.0) / (16.0 * dt * dt)
     taut = distance >= length * (1.0 - 1e-3)
-    tension = np.where(taut, np.maximum(pull, 0.0), 0.0) / (1.0 / mass + 1.0 / vehicle_mass)
+    reduced = 1.0 / (1.0 / mass + 1.0 / vehicle_mass)
+    tension = np.where(taut, np.maximum(pull, 0.0), 0.0) * reduced
+    if stiffness > 0.0:
+        loss = 2.0 * LOSS * sqrt(stiffness * reduced)
+        stretched = stiffness * (distance - length) + loss * along
+        tension = np.where(distance > length, np.maximum(stretched, 0.0), 0.0)
     force = tension * direction
     velocity = state.velocity + dt * (down - force / mass)
     moved_vehicle = vehicle_velocity + dt * (free_acceleration + force / vehicle_mass)
@@ -84,20 +97,22 @@ def step(
 class Rope:
     """The rope of one vehicle and what hangs on it; lower than its length the load lies on the ground.
 
-    `length` [m], from a hook `below` [m] the airframe's centre.
+    `length` [m], from a hook `below` [m] the airframe's centre; `stiffness` [N/m], 0 if it does not stretch.
     """
 
-    def __init__(self, length: float, below: float = 0.0) -> None:
+    def __init__(self, length: float, below: float = 0.0, stiffness: float = 0.0) -> None:
         self.length = length
+        self._stiffness = stiffness
         self._hook = np.array([0.0, 0.0, -below])
         self.mass_kg = 0.0
         self._state = hanging(length, np.zeros(3))
         self._before: Array | None = None
         self._force = np.zeros(3)
 
-    def hang(self, mass_kg: float, velocity: Array) -> None:
-        """Another load [kg], at rest below a vehicle with that velocity; 0 for none."""
-        self.mass_kg, self._state = mass_kg, hanging(self.length, velocity)
+    def hang(self, mass_kg: float, velocity: Array, gravity: float = 9.8) -> None:
+        """Another load [kg], at rest below a vehicle with that velocity, on the rope; 0 for none."""
+        stretch = mass_kg * gravity / self._stiffness if self._stiffness > 0.0 else 0.0
+        self.mass_kg, self._state = mass_kg, hanging(self.length + stretch, velocity)
         self._before, self._force = None, np.zeros(3)
 
     @property
@@ -126,6 +141,14 @@ class Rope:
         if before is not None:
             free = (velocity - before) / dt - self._force / body.base_mass
         self._state, self._force = step(
-            self._state, self.length, self.mass_kg, body.base_mass, velocity, free, body.gravity, dt
+            self._state,
+            self.length,
+            self.mass_kg,
+            body.base_mass,
+            velocity,
+            free,
+            body.gravity,
+            dt,
+            self._stiffness,
         )
         return self._force, np.cross(self._hook, rotation.T @ self._force)

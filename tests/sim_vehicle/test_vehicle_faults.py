@@ -162,3 +162,33 @@ def test_the_swing_of_a_load_is_in_the_truth():
     # 2 m/s lift it by v^2 / 2g of the part that the vehicle does not follow with: 10 of 15 kg.
     highest = acos(1.0 - 2.0**2 / (2.0 * 9.8) * 10.0 / 15.0)
     assert max(angles) == pytest.approx(highest, rel=0.03)
+
+
+def test_on_a_rope_that_stretches_load_and_vehicle_bounce_with_the_frequency_of_the_spring():
+    """At rest the load's weight stretches it; what there is of a bounce fades with its loss."""
+    body, stiffness, mass = airframe.AirframeParameters(drag=0.0, ground=None), 2000.0, 5.0
+    rigid = np.zeros(12)
+    rigid[2] = 20.0
+    share = body.hover_thrust(mass)
+    state = replace(airframe.initial_state(rigid), motor_thrust=np.full(4, share * 246.0 / 4.0))
+    rope = swing.Rope(1.0, stiffness=stiffness)
+    rope.hang(mass, state.velocity, body.gravity)
+    assert rope.offset[2] == pytest.approx(-1.0 - mass * body.gravity / stiffness)
+    stretches, dt = [], 0.001
+    for k in range(1000):
+        if k == 200:
+            rope._state.velocity[2] -= 0.2
+        force, torque = rope.step(body, state.rigid, dt)
+        inputs = environment.EnvironmentInputs(force=force, torque=torque)
+        state = airframe.step(body, state, np.full(4, share), inputs, dt)
+        stretches.append(-rope.offset[2] - 1.0)
+    rest = mass * body.gravity / stiffness
+    assert np.abs(np.array(stretches[:200]) - rest).max() < 1e-4
+    bounce = np.array(stretches[200:]) - rest
+    crossings = np.flatnonzero((bounce[:-1] < 0.0) & (bounce[1:] >= 0.0)) * dt
+    omega = sqrt(stiffness * (1.0 / mass + 1.0 / body.base_mass))
+    assert 2.0 * pi / np.diff(crossings).mean() == pytest.approx(omega, rel=0.01)
+    assert bounce.max() == pytest.approx(0.2 / omega, rel=0.15)
+    periods = 0.8 * omega / (2.0 * pi)
+    faded = np.abs(bounce[-round(2.0 * pi / omega / dt) :]).max() / bounce.max()
+    assert faded == pytest.approx(np.exp(-2.0 * pi * swing.LOSS * (periods - 1.25)), rel=0.3)
