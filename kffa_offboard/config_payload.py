@@ -27,11 +27,13 @@ class PayloadTable(Table):
     0.1 s wrong is no better than none.
 
     `rope_length_m` is the length of the rope on which loads swing, weighed or not; 0 for loads that are held
-    rigidly. The position ring is another one then, which damps the swing (`control/pendulum.py`).
+    rigidly. The position ring is another one then, which damps the swing (`control/pendulum.py`). The
+    stiffness of the whole rope, if it is known, tells whether the height loop would make a load bounce on it.
     """
 
     enabled: bool = True
     rope_length_m: Rope = 0.0
+    rope_stiffness_n_m: Annotated[float | None, number("N/m", above=0.0)] = None
     vehicle_mass_kg: Mass = None
     max_load_kg: Mass = None
     hover_thrust_uncertainty: Annotated[float, number(at_least=0.0, at_most=0.5)] = 0.01
@@ -41,7 +43,7 @@ class PayloadTable(Table):
 
     @model_validator(mode="after")
     def _mass_is_known(self) -> PayloadTable:
-        for key in ("max_load_kg", "gripper_open_s"):
+        for key in ("max_load_kg", "gripper_open_s", "rope_stiffness_n_m"):
             if self.enabled and self.vehicle_mass_kg is None and getattr(self, key) is not None:
                 raise ValueError(f"{key} needs vehicle_mass_kg: set it to the mass that hover_thrust carries")
         return self

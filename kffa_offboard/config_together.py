@@ -6,8 +6,10 @@ Each of these combinations was flown in the simulator and went wrong in the air,
 from __future__ import annotations
 
 from collections.abc import Iterator
+from math import sqrt
 
 from kffa_offboard.config_control import AttitudeAxisTable, ChannelTable, ControlTable
+from kffa_offboard.config_payload import PayloadTable
 from kffa_offboard.config_position import damping_controller
 from kffa_offboard.config_tables import ConfigFile, TakeoffTable
 from kffa_offboard.control.pendulum import damped_ropes
@@ -30,6 +32,11 @@ EQUAL_LOAD = 1.0
 """Of the vehicle's mass: the load on a rope where the heaviest is not told."""
 
 
+SOFTEST_BOUNCE, STIFFEST_BOUNCE = 1.2, 8.0
+"""Of omega_c of the altitude: load and vehicle must not bounce between these on a rope that stretches.
+With omega_c = 3 to 8 thrust shook from end to end with 15 to 40 rad/s."""
+
+
 def check_together(tables: ConfigFile) -> None:
     """Raise ValueError, one line with keys, values and remedy, for the first combination that cannot fly."""
     problem = (
@@ -40,6 +47,7 @@ def check_together(tables: ConfigFile) -> None:
         or _rare_telemetry(tables)
         or _late_attitude(tables)
         or _swinging_load(tables)
+        or _bouncing_load(tables)
     )
     if problem is not None:
         raise ValueError(problem)
@@ -155,10 +163,7 @@ def _swinging_load(tables: ConfigFile) -> str | None:
     answer = answer_of(damping_controller(control), numbers)
     if not ring.enabled or length == 0.0 or answer is None:
         return None
-    heaviest = EQUAL_LOAD
-    if payload.max_load_kg is not None and payload.vehicle_mass_kg is not None:
-        heaviest = payload.max_load_kg / payload.vehicle_mass_kg
-    damped = damped_ropes(answer, numbers.delay, numbers.lag, heaviest, numbers.gravity)
+    damped = damped_ropes(answer, numbers.delay, numbers.lag, _heaviest(payload), numbers.gravity)
     if damped is not None and damped[0] <= length <= damped[1]:
         return None
     told = f"position.omega_c = {ring.omega_c:g} and delay_s + lag_s = {ring.delay_s + ring.lag_s:g}"
@@ -168,4 +173,30 @@ def _swinging_load(tables: ConfigFile) -> str | None:
     return (
         f"payload.rope_length_m = {length:g}: the position ring would drive the swing; with {told} it damps "
         f"that of {damped[0]:.2g} to {damped[1]:.2g} m; {remedy}"
+    )
+
+
+def _heaviest(payload: PayloadTable) -> float:
+    """The heaviest load, by the vehicle's mass."""
+    if payload.max_load_kg is None or payload.vehicle_mass_kg is None:
+        return EQUAL_LOAD
+    return payload.max_load_kg / payload.vehicle_mass_kg
+
+
+def _bouncing_load(tables: ConfigFile) -> str | None:
+    """A height loop shakes where load and vehicle bounce on their rope about as quickly as it answers."""
+    payload, control = tables.payload, tables.control
+    stiffness, mass = payload.rope_stiffness_n_m, payload.vehicle_mass_kg
+    if stiffness is None or mass is None or control.controller in ("pid", "cascaded-pid"):
+        return None
+    omega_c = control.altitude.omega_c
+    together = (1.0 + 1.0 / _heaviest(payload)) / mass
+    bounce = sqrt(stiffness * together)
+    if not SOFTEST_BOUNCE * omega_c < bounce < STIFFEST_BOUNCE * omega_c:
+        return None
+    stiff, slow = (STIFFEST_BOUNCE * omega_c) ** 2 / together, bounce / STIFFEST_BOUNCE
+    return (
+        f"payload.rope_stiffness_n_m = {stiffness:g}: the heaviest load bounces on it with {bounce:.3g} "
+        f"rad/s; control.altitude.omega_c = {omega_c:g} would drive that; take a rope of {stiff:.0f} N/m at "
+        f"least, or lower omega_c to {slow:.2g}"
     )

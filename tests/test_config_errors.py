@@ -234,6 +234,16 @@ def test_a_bad_value_is_one_line_with_key_value_and_remedy(
             "payload.rope_length_m = 3: with position.omega_c = 1.5 and delay_s + lag_s = 1 the ring damps "
             "no swing; lower omega_c",
         ),
+        (
+            "omega_c = 5\n[payload]\nrope_stiffness_n_m = 3000\nvehicle_mass_kg = 10\nmax_load_kg = 5",
+            "payload.rope_stiffness_n_m = 3000: the heaviest load bounces on it with 30 rad/s; "
+            "control.altitude.omega_c = 5 would drive that; take a rope of 5333 N/m at least, or "
+            "lower omega_c to 3.8",
+        ),
+        (
+            "[payload]\nrope_stiffness_n_m = 3000",
+            "payload: rope_stiffness_n_m needs vehicle_mass_kg: set it to the mass that hover_thrust carries",
+        ),
     ],
 )
 def test_numbers_that_do_not_fly_together_are_refused_with_the_remedy(

@@ -17,10 +17,11 @@ from msgspec.structs import replace
 
 from kffa_offboard.control import vehicle
 from kffa_offboard.control.rotation import body_rates_of
+from kffa_offboard.offboard.channels import command_of, level_target
 from kffa_offboard.offboard.events import AttitudeReceived, AttitudeTarget
 from kffa_offboard.offboard.flight import FlightState, Phase, stands
 from kffa_offboard.offboard.guard import check_target
-from kffa_offboard.offboard.loop import LoopState, command_of, level_target
+from kffa_offboard.offboard.loop import LoopState
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.telemetry import Telemetry
 

@@ -1,25 +1,31 @@
 """One control step: from telemetry and a wish to a checked setpoint, and what the observer is told of it.
 
-Translates between the controller's channels (roll, pitch, yaw, vertical thrust) and setpoints (body
-rates or attitude, collective thrust). While the daemon is not in control the same step runs in
-shadow: the observer is then told what the autopilot itself applies.
+While the daemon is not in control the same step runs in shadow: the observer is then told what the autopilot
+itself applies.
 """
 
 from __future__ import annotations
 
 from math import exp, isfinite
 
-import numpy as np
 from msgspec import Struct
 from msgspec.structs import replace
 
 from kffa_offboard.control import vehicle
 from kffa_offboard.control.plain import PlainInput, PlainOutput, Vector
-from kffa_offboard.control.rotation import body_rates_of, euler_rates_of, wrap_angle
 from kffa_offboard.offboard.carrying import Carrying, balancing, follow
-from kffa_offboard.offboard.events import AttitudeTarget, Signals, Vector3
+from kffa_offboard.offboard.channels import (
+    as_measured,
+    autopilot_command,
+    command_of,
+    level_target,
+    measured_rate,
+    measurement,
+    target_of,
+)
+from kffa_offboard.offboard.events import AttitudeTarget, Signals
 from kffa_offboard.offboard.flight import Directive
-from kffa_offboard.offboard.guard import check_target, tilt_factor
+from kffa_offboard.offboard.guard import check_target
 from kffa_offboard.offboard.horizontal import (
     HorizontalState,
     begin_horizontal,
@@ -28,13 +34,9 @@ from kffa_offboard.offboard.horizontal import (
 )
 from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.telemetry import (
-    Telemetry,
-    altitude_now,
-    before_silence,
-    reported_target,
-    reported_thrust,
-)
+from kffa_offboard.offboard.shaking import watch_thrust
+from kffa_offboard.offboard.telemetry import Telemetry, before_silence
+from kffa_offboard.offboard.turns import NO_TURNS, Turns
 
 _FRESH = (True, True, True, True)
 _FRESH_ATTITUDE = (True, True, True, False)
@@ -63,6 +65,7 @@ class LoopState(Struct, frozen=True, gc=False):
     sent, sent_us : last setpoint of this engagement and when; None before the first
     blend : None outside an engagement in the air
     horizontal : the position ring, None without one
+    shaking : turns of the thrust that is sent in the air
     """
 
     controller: vehicle.State
@@ -75,6 +78,7 @@ class LoopState(Struct, frozen=True, gc=False):
     sent_us: int = 0
     blend: Blend | None = None
     horizontal: HorizontalState | None = None
+    shaking: Turns = NO_TURNS
 
     @property
     def hold_offset(self) -> Offset:
@@ -159,7 +163,7 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
     """Start the controller at rest at the present measurement; None while a sample is missing."""
     if known.attitude is None or known.position is None:
         return None
-    measured = _measurement(settings, known)
+    measured = measurement(settings, known)
     applied = autopilot_command(settings, known, time_us, measured)
     controller = vehicle.initial_state(settings.controller, measured, applied)
     altitude, thrust = measured[3], applied[3]
@@ -171,77 +175,7 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
 
 def forget_sent(loop: LoopState) -> LoopState:
     """Nothing has been sent in the engagement that begins, or the one that was has ended."""
-    return replace(loop, sent=None, blend=None, carrying=None)
-
-
-def _measurement(settings: ServiceSettings, known: Telemetry) -> Vector:
-    assert known.attitude is not None
-    return (*known.attitude.attitude, altitude_now(settings.telemetry, known))
-
-
-def _measured_rate(known: Telemetry) -> Vector:
-    assert known.attitude is not None and known.position is not None
-    rates = euler_rates_of(known.attitude.attitude, known.attitude.body_rates)
-    return (*rates, known.position.velocity[2])
-
-
-def autopilot_command(settings: ServiceSettings, known: Telemetry, time_us: int, near: Vector) -> Vector:
-    """What the autopilot itself commands, in the controller's channels.
-
-    Thrust: reported target, else throttle, else hover thrust; zero while disarmed. Attitude: reported
-    target, else what is measured. Angles are given in the turn of `near`.
-    """
-    assert known.attitude is not None
-    attitude = known.attitude.attitude
-    target = reported_target(settings.telemetry, known, time_us)
-    thrust = reported_thrust(settings.telemetry, known, time_us)
-    if thrust is None:
-        thrust = settings.hover_thrust
-    if known.heartbeat is not None and not known.heartbeat.armed:
-        thrust = 0.0
-    if settings.output == "rates":
-        wanted = target.body_rates if target is not None else None
-        return command_of(
-            settings, attitude, AttitudeTarget(thrust, wanted or known.attitude.body_rates), near
-        )
-    wanted = target.attitude if target is not None else None
-    return command_of(settings, attitude, AttitudeTarget(thrust, attitude=wanted or attitude), near)
-
-
-def _as_measured(settings: ServiceSettings, known: Telemetry, near: Vector) -> Vector:
-    """The command that asks for what the vehicle does anyway, hovering."""
-    assert known.attitude is not None
-    rates, attitude = known.attitude.body_rates, known.attitude.attitude
-    target = AttitudeTarget(settings.hover_thrust, body_rates=rates)
-    if settings.output == "attitude":
-        target = AttitudeTarget(settings.hover_thrust, attitude=attitude)
-    return command_of(settings, attitude, target, near)
-
-
-def command_of(settings: ServiceSettings, attitude: Vector3, target: AttitudeTarget, near: Vector) -> Vector:
-    """A setpoint in the controller's channels; angles in the turn of `near`."""
-    vertical = target.thrust * tilt_factor(settings.limits, attitude)
-    if target.body_rates is not None:
-        rates = euler_rates_of(attitude, target.body_rates)
-        return (*rates, vertical)
-    assert target.attitude is not None
-    return vehicle.wrap_near((*target.attitude, vertical), near, settings.controller)
-
-
-def target_of(settings: ServiceSettings, attitude: Vector3, command: Vector) -> AttitudeTarget:
-    """The setpoint for a command in the controller's channels."""
-    roll, pitch, yaw, vertical = command
-    thrust = vertical / tilt_factor(settings.limits, attitude)
-    if settings.output == "rates":
-        return AttitudeTarget(thrust, body_rates=body_rates_of(attitude, (roll, pitch, yaw)))
-    return AttitudeTarget(thrust, attitude=(roll, pitch, float(wrap_angle(np.array(yaw)))))
-
-
-def level_target(settings: ServiceSettings, yaw: float, thrust: float) -> AttitudeTarget:
-    """No rotation (or level attitude with heading `yaw`) with a given collective thrust."""
-    if settings.output == "rates":
-        return AttitudeTarget(thrust, body_rates=(0.0, 0.0, 0.0))
-    return AttitudeTarget(thrust, attitude=(0.0, 0.0, float(wrap_angle(np.array(yaw)))))
+    return replace(loop, sent=None, blend=None, carrying=None, shaking=NO_TURNS)
 
 
 def step_loop(
@@ -263,7 +197,7 @@ def step_loop(
     loop, measured, output = _step_controller(settings, loop, known, order, dt, replayed=flown is not None)
     near = output.estimate
     if flown is not None and not all(map(isfinite, flown)):
-        pairs = zip(flown, _as_measured(settings, known, near), strict=True)
+        pairs = zip(flown, as_measured(settings, known, near), strict=True)
         flown = tuple(command if isfinite(command) else instead for command, instead in pairs)
     own = _NOTHING if order.controls() else autopilot_command(settings, known, time_us, near)
     place = None if loop.horizontal is None else position_reference(loop.horizontal, order.directive)
@@ -284,7 +218,7 @@ def _step_controller(
     parameters, controller = settings.controller, loop.controller
     if order.directive.align:
         controller = vehicle.align_reference(parameters, controller)
-    measured, position_us = _measurement(settings, known), known.position.sample_time_us
+    measured, position_us = measurement(settings, known), known.position.sample_time_us
     new_position = position_us != loop.position_us and not before_silence(settings.telemetry, known, dt)
     horizontal, reference = loop.horizontal, order.directive.reference
     if horizontal is not None:
@@ -293,7 +227,7 @@ def _step_controller(
             settings.position, horizontal, known, order.directive, acting, new_position, dt
         )
     fresh = _FRESH if new_position else _FRESH_ATTITUDE
-    inputs = PlainInput(reference, measured, fresh, _measured_rate(known))
+    inputs = PlainInput(reference, measured, fresh, measured_rate(known))
     controller, output = vehicle.step(parameters, controller, inputs, dt)
     altitude, climb_rate = output.estimate[3], output.estimate_rate[3]
     loop = LoopState(  # by place, in a third of the time of `_replace`
@@ -307,6 +241,7 @@ def _step_controller(
         loop.sent_us,
         loop.blend,
         horizontal,
+        loop.shaking,
     )
     return loop, measured, output
 
@@ -331,6 +266,11 @@ def _send(
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
     controller, thrust = loop.controller, checked.target.thrust
+    shaking, fault = NO_TURNS, None
+    if order.acting and order.airborne:
+        shaking, fault = watch_thrust(loop.shaking, settings.limits, thrust, since)
+    if fault is not None:
+        return loop, LoopStep(None, replace(trace, command=wanted, applied=wanted), fault)
     if applied is not output.command:  # its own it knows
         controller = vehicle.with_applied(settings.controller, controller, applied)
     loop = LoopState(
@@ -344,6 +284,7 @@ def _send(
         time_us,
         loop.blend,
         loop.horizontal,
+        shaking,
     )
     if sent is not wanted:
         output = replace(output, saturated=_limited(output, sent, wanted))

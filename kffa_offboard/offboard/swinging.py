@@ -21,6 +21,7 @@ from msgspec import Struct
 
 from kffa_offboard.control import Array
 from kffa_offboard.offboard.settings import ServiceSettings
+from kffa_offboard.offboard.turns import NO_TURNS, Turns, follow_turns
 
 TURN_M_S2 = 1.5
 """From one side to the other; a load of half the vehicle's mass that swings by 9 degrees each way."""
@@ -32,38 +33,18 @@ LONGEST_TURN_S = 7.0
 _EIGHTH_TURN = 0.5**0.5
 
 
-class Axis(Struct, frozen=True, gc=False):
-    """The disturbance along one axis, m/s^2.
-
-    Attributes
-    ----------
-    lowest, highest : since the last turn
-    rose : it went up then; None before the first one
-    turns, since_s : so many in a row, and s since the last one
-    extreme, middle : where that was, and half way between it and the one before
-    """
-
-    lowest: float = 0.0
-    highest: float = 0.0
-    rose: bool | None = None
-    turns: int = 0
-    since_s: float = 0.0
-    extreme: float = 0.0
-    middle: float = 0.0
-
-
 class Swing(Struct, frozen=True, gc=False):
     """What is remembered of the disturbance along x and y, and along the two directions between them."""
 
-    x: Axis = Axis()
-    y: Axis = Axis()
-    between: Axis = Axis()
-    across: Axis = Axis()
+    x: Turns = NO_TURNS
+    y: Turns = NO_TURNS
+    between: Turns = NO_TURNS
+    across: Turns = NO_TURNS
 
     @property
     def shows(self) -> bool:
         """There is one."""
-        return max(self.x.turns, self.y.turns, self.between.turns, self.across.turns) >= TURNS
+        return max(self.x.count, self.y.count, self.between.count, self.across.count) >= TURNS
 
 
 NO_SWING = Swing()
@@ -74,25 +55,25 @@ def watch_swing(swing: Swing, disturbance: Array, dt: float) -> Swing:
     x, y = disturbance.tolist()
     between, across = _turned(x, y)
     return Swing(
-        _follow(swing.x, x, dt),
-        _follow(swing.y, y, dt),
-        _follow(swing.between, between, dt),
-        _follow(swing.across, across, dt),
+        follow_turns(swing.x, x, dt, TURN_M_S2, LONGEST_TURN_S),
+        follow_turns(swing.y, y, dt, TURN_M_S2, LONGEST_TURN_S),
+        follow_turns(swing.between, between, dt, TURN_M_S2, LONGEST_TURN_S),
+        follow_turns(swing.across, across, dt, TURN_M_S2, LONGEST_TURN_S),
     )
 
 
 def steady_part(swing: Swing, disturbance: Array) -> Array:
     """What of the disturbance (2,) [m/s^2] does not swing: the wind."""
     x, y = disturbance.tolist()
-    if max(swing.between.turns, swing.across.turns) > max(swing.x.turns, swing.y.turns):
+    if max(swing.between.count, swing.across.count) > max(swing.x.count, swing.y.count):
         between, across = _turned(x, y)
         return np.array(_turned(_middle(swing.between, between), _middle(swing.across, across)))
     return np.array([_middle(swing.x, x), _middle(swing.y, y)])
 
 
-def _middle(axis: Axis, value: float) -> float:
+def _middle(turns: Turns, value: float) -> float:
     """Where it has turned round; else the present `value`."""
-    return axis.middle if axis.turns > 1 else value
+    return turns.middle if turns.count > 1 else value
 
 
 def _turned(x: float, y: float) -> tuple[float, float]:
@@ -112,15 +93,3 @@ def for_swinging_load(settings: ServiceSettings) -> ServiceSettings:
         return settings
     controller = replace(settings.controller, law=replace(law, rejection=YIELDING))
     return replace(settings, controller=controller)
-
-
-def _follow(axis: Axis, value: float, dt: float) -> Axis:
-    since_s = axis.since_s + dt
-    turns = axis.turns if since_s <= LONGEST_TURN_S else 0
-    fell = axis.rose is not False and value < axis.highest - TURN_M_S2
-    if fell or (axis.rose is not True and value > axis.lowest + TURN_M_S2):
-        extreme = axis.highest if fell else axis.lowest
-        middle = 0.5 * (extreme + axis.extreme)
-        return Axis(value, value, not fell, turns + 1, 0.0, extreme, middle)
-    lowest, highest = min(axis.lowest, value), max(axis.highest, value)
-    return Axis(lowest, highest, axis.rose, turns, since_s, axis.extreme, axis.middle)

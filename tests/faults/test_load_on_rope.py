@@ -46,7 +46,15 @@ def fly(fault_flight):
     """A flight with a load on a rope, its swing [rad] and distance from where it began [m] at each slot."""
 
     def flown(
-        position, seconds, personality="px4", output=None, more=None, pushed=True, below_m=0.0, told=False
+        position,
+        seconds,
+        personality="px4",
+        output=None,
+        more=None,
+        pushed=True,
+        below_m=0.0,
+        told=False,
+        stiffness=0.0,
     ):
         schedule = [{"time_s": AT, "mass_kg": LOAD_KG}]
         rope = {
@@ -54,6 +62,7 @@ def fly(fault_flight):
                 "clock": "boot",
                 "rope_length_m": LENGTH_M,
                 "rope_below_m": below_m,
+                "rope_stiffness_n_m": stiffness,
                 "schedule": schedule,
             }
         }
@@ -147,3 +156,21 @@ def test_numbers_that_are_set_in_flight_leave_it_damped(fly):
     assert after.limits.tilt_failsafe_rad == 0.9 != before.limits.tilt_failsafe_rad
     assert after.controller.law.rejection.tolist() == [0.0, 0.0, 1.0, 1.0]
     assert flight.released_s is None and worst(flight.swing, 31.0, 33.0) < math.radians(3.0)
+
+
+@pytest.mark.parametrize(("personality", "output"), [("px4", "rates"), ("ardupilot", "attitude")])
+def test_thrust_that_shakes_on_a_rope_that_stretches_ends_control(fly, personality, output):
+    """5 kg on 3,000 N/m bounce with 30 rad/s; the autopilot's own hold leaves them alone."""
+    position = ring(personality, on_rope=True)
+    flight = fly(position, 16.0, personality, output, pushed=False, told=True, stiffness=3000.0)
+    assert "failsafe: thrust shakes from end to end" in flight.texts
+    assert flight.released_s < AT + 4.0 and flight.violations == []
+    assert flight.targets[-1][1].thrust == pytest.approx(0.6, abs=0.15)  # carries 15 kg
+    assert abs(worst(flight.heights, 3.0, 16.0) - 5.0) < 1.0
+
+
+def test_a_stiff_one_and_a_soft_one_do_not_shake_it(fly):
+    for stiffness in (300.0, 20_000.0):
+        flight = fly(ring("px4", on_rope=True), 8.0, pushed=False, told=True, stiffness=stiffness)
+        assert flight.released_s is None and flight.violations == []
+        assert max(abs(height - 5.0) for height in flight.heights) < 0.15

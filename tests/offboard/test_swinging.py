@@ -74,5 +74,5 @@ def test_and_from_a_swing_between_the_axes():
     """Along neither axis would it show."""
     push = swings(0.9, 2.0, wind=(0.4, -0.7), direction=(0.71, 0.71))
     shows_s, swing = watched(push, 20.0)
-    assert shows_s is not None and max(swing.x.turns, swing.y.turns) == 0
+    assert shows_s is not None and max(swing.x.count, swing.y.count) == 0
     assert steady_part(swing, np.array(push(shows_s))) == pytest.approx([0.4, -0.7], abs=0.05)
