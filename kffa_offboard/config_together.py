@@ -34,7 +34,7 @@ EQUAL_LOAD = 1.0
 
 SOFTEST_BOUNCE, STIFFEST_BOUNCE = 1.2, 8.0
 """Of omega_c of the altitude: load and vehicle must not bounce between these on a rope that stretches.
-With omega_c = 3 to 8 thrust shook from end to end with 15 to 40 rad/s."""
+With omega_c = 3 to 8 thrust shook from end to end on ropes of 17 to 39 rad/s."""
 
 
 def check_together(tables: ConfigFile) -> None:
