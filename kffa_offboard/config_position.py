@@ -71,7 +71,7 @@ class PositionTable(Table):
             error_max_m=self.error_max_m,
             jump_m=self.jump_m,
             speed_max_m_s=self.speed_max_m_s,
-            damping=None if damps == control.controller else design_ring(damps, numbers),
+            damping=None if damps == control.controller else design_ring(damps, numbers, follows=True),
             on_rope=rope_length_m > 0.0,
         )
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 import tomllib
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeAlias
 
@@ -152,12 +153,20 @@ class LoadChange(Section):
         return value
 
 
+class WinchMove(Section):
+    """One entry of payload.winch: from `time_s` on the rope is run to this length, at this speed."""
+
+    time_s: NotNegative
+    length_m: Annotated[float, Field(ge=0.1, le=1000.0)]
+    speed_m_s: Annotated[float, Field(gt=0.0, le=5.0)] = 0.5
+
+
 class PayloadSection(Section):
     """[payload]: what the gripper holds, where, and when it comes and goes by itself."""
 
     offset_m: tuple[Arm, Arm, Arm] = payload.DEFAULT_OFFSET
     rope_length_m: Annotated[float, Field(ge=0.0, le=1000.0)] = 0.0
-    """The load swings on a rope of this length; 0: it is held rigidly at offset_m."""
+    """The load swings on a rope of this length or lies on the ground; 0: it is held rigidly at offset_m."""
     rope_below_m: Annotated[float, Field(ge=0.0, le=10.0)] = 0.0
     """So far below the centre the rope is fastened."""
     rope_stiffness_n_m: Annotated[float, Field(ge=0.0, le=50_000.0)] = 0.0
@@ -165,6 +174,8 @@ class PayloadSection(Section):
     gripper_mass_kg: float = 5.0
     clock: Literal["airborne", "boot"] = "airborne"
     schedule: tuple[LoadChange, ...] = ()
+    winch: tuple[WinchMove, ...] = ()
+    """A winch changes the length of the rope, by the same clock."""
 
     @field_validator("gripper_mass_kg")
     @classmethod
@@ -177,6 +188,20 @@ class PayloadSection(Section):
     def _in_order(cls, value: tuple[LoadChange, ...]) -> tuple[LoadChange, ...]:
         payload.PayloadSchedule(tuple((change.time_s, change.mass_kg) for change in value))
         return value
+
+    @model_validator(mode="after")
+    def _winch_has_a_rope(self) -> Self:
+        if self.winch and self.rope_length_m == 0.0:
+            raise ValueError(
+                "winch: there is no rope; give rope_length_m, its length at the beginning, 0.1 m or more"
+            )
+        for before, after in pairwise(self.winch):
+            if after.time_s <= before.time_s:
+                raise ValueError(
+                    f"winch at {after.time_s:g} s comes after the one at {before.time_s:g} s; "
+                    "list the moves in order of time"
+                )
+        return self
 
 
 class LockstepSection(Section):

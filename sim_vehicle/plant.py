@@ -57,6 +57,7 @@ class Plant:
         self._steady = environment.inputs_at(self._wind, self._gust, 0.0) if self._wind.steady else None
         self._faults = config.faults
         self._rope = _rope(config)
+        self._winch = deque(config.payload.winch)
         self._faulty = config.faults != FaultsSection()
 
     def step(self, motor_commands: Array) -> None:
@@ -69,12 +70,22 @@ class Plant:
             felt = surroundings.wind_velocity + faults.wind(self._faults, now_s)
             surroundings = replace(surroundings, wind_velocity=felt)
         if self._rope.mass_kg > 0.0:
-            force, torque = self._rope.step(self.body, self.state.rigid, self.dt)
+            force, torque = self._pull()
             surroundings = replace(
                 surroundings, force=surroundings.force + force, torque=surroundings.torque + torque
             )
+        elif self._rope.length > 0.0:
+            self._rope.turn(self.dt)
         self.state = airframe.step(self.body, self.state, motor_commands, surroundings, self.dt)
         self.time_us += self.step_us
+
+    def _pull(self) -> tuple[Array, Array]:
+        """Force and torque of the rope, for one step."""
+        lifted = self._rope.lifted
+        force, torque = self._rope.step(self.body, self.state.rigid, self.dt)
+        if self._rope.lifted is not lifted:
+            self.truth.event(self.time_us, "load set down" if lifted else "load lifted")
+        return force, torque
 
     def _blow(self) -> environment.EnvironmentInputs:
         """Wind that changes, for one step."""
@@ -90,7 +101,8 @@ class Plant:
             return
         if self._rope.length > 0.0:
             check_load_mass(mass_kg)
-            self._rope.hang(mass_kg, self.state.velocity, self.body.gravity)
+            ground = self.body.ground is not None
+            self._rope.hang(mass_kg, self.state.rigid, self.body.gravity, ground)
         else:
             self.state = airframe.with_load(self.state, mass_kg)
         word = "pick-up" if mass_kg > before else "drop"
@@ -120,11 +132,16 @@ class Plant:
     def _follow_schedule(self) -> None:
         if self._airborne_at_us is None and self.state.rigid[2] > AIRBORNE_HEIGHT:
             self._airborne_at_us = self.time_us
-        if not self._changes:
-            return
         start = 0 if self._payload.clock == "boot" else self._airborne_at_us
-        while start is not None and self._changes and self.time_us - start >= self._changes[0][0] * 1e6:
+        if start is None:
+            return
+        elapsed_us = self.time_us - start
+        while self._changes and elapsed_us >= self._changes[0][0] * 1e6:
             self.set_load(self._changes.popleft()[1])
+        while self._winch and elapsed_us >= self._winch[0].time_s * 1e6:
+            move = self._winch.popleft()
+            self._rope.wind(move.length_m, move.speed_m_s)
+            self.truth.event(self.time_us, f"winch to {move.length_m:.6g} m")
 
 
 def _proximity(config: SimConfig) -> Proximity | None:

@@ -159,7 +159,9 @@ def advance(
     baseline, previous = state.pid, state.actuator.commands[-1]
     if parameters.pid is not None:
         assert not isinstance(found.dt, np.ndarray)
-        unlimited = pid.command(parameters.pid, baseline, tracked.position)
+        unlimited = pid.command(
+            parameters.pid, baseline, tracked.position, tracked.rate, tracked.acceleration
+        )
         command = _limit(parameters.limits, unlimited, previous, found.dt)
         excess = unlimited - command
         baseline = pid.integrate(parameters.pid, baseline, tracked.position, excess, found.dt)

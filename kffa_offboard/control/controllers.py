@@ -86,7 +86,7 @@ def align_reference(parameters: ControllerParameters, state: ControllerState) ->
         return aligned
     acting = state.actuator.commands[-1]
     at_rest = replace(state.pid, integral=np.zeros_like(acting))
-    unlimited = pid.command(parameters.pid, at_rest, state.pid.measurement)
+    unlimited = pid.command(parameters.pid, at_rest, state.pid.measurement, rate, np.zeros_like(rate))
     integral = column(parameters.pid.b0, acting) * (acting - unlimited)
     needs = column(parameters.pid.ki, acting) > 0.0
     return replace(aligned, pid=replace(state.pid, integral=np.where(needs, integral, 0.0)))

@@ -48,6 +48,7 @@ class DesignSettings:
     error_scale, error_rate_scale, omega_c_range : fuzzy scaling (`fuzzy.FuzzyParameters`)
     measurement_variance, rate_variance, disturbance_intensity : Kalman filter (`kalman.KalmanParameters`)
     pid_gains : (3, 4) kp, ki, kd; None has those of `three_poles`
+    pid_follows : see `pid.PidParameters.follow`
     hand_gains : (5, 4) kp, kd, l1, l2, l3 of the WB-LADRC; None takes what a person arrives at by hand: the
         same stiffness with damping ratio 0.5 and observer poles spread 1 : 2 : 3 up to omega_o
     cascade : True (4,) where `cascaded-pid` is P over PI; elsewhere it is P to a rate loop
@@ -81,6 +82,7 @@ class DesignSettings:
     literal_filter: bool = False
     angular: tuple[bool, ...] = (True, True, True, False)
     pid_gains: Array | None = None
+    pid_follows: bool = False
     hand_gains: Array | None = None
     cascade: tuple[bool, ...] = (False, False, False, True)
     cascade_gains: Array = field(
@@ -195,7 +197,9 @@ def three_poles(omega_c: Array) -> Array:
 def _parallel_pid(settings: DesignSettings) -> pid.PidParameters:
     kp, ki, kd = three_poles(settings.omega_c) if settings.pid_gains is None else settings.pid_gains
     never = np.zeros(len(settings.b0), dtype=bool)
-    return pid.PidParameters(kp, ki, kd, settings.b0, settings.trim, never, never, never)
+    return pid.PidParameters(
+        kp, ki, kd, settings.b0, settings.trim, never, never, never, follow=settings.pid_follows
+    )
 
 
 def _cascaded_pid(settings: DesignSettings) -> pid.PidParameters:

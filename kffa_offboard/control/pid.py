@@ -27,6 +27,8 @@ class PidParameters:
     b0 : output acceleration per unit of command (cascade to a rate loop: 1, the command is the rate)
     trim : command at rest
     derivative_time : s, of the low-pass on the measured rate when no measured rate is given
+    follow : the parallel form meets the reference's rate and acceleration, too: it keeps up with a reference
+        that moves, and answers a step of an unfiltered one with a kick
     cascade : bool ``(4,)``
         True: rate = kp * error, command = (kd * (rate - measured rate) + ki * its integral) / b0 + trim.
     rate_command : bool ``(4,)``
@@ -44,6 +46,7 @@ class PidParameters:
     rate_command: BoolArray
     pass_reference: BoolArray
     derivative_time: float = 0.02
+    follow: bool = False
 
 
 class PidState(Struct, frozen=True, gc=False):
@@ -67,17 +70,24 @@ def differentiate(parameters: PidParameters, state: PidState, measurement: Array
     return PidState(state.integral, measurement, state.rate + blend * (slope - state.rate))
 
 
-def command(parameters: PidParameters, state: PidState, reference: Array) -> Array:
-    """Unlimited command ``(4[, N])``; the derivative acts on the measurement, so steps do not kick."""
+def command(
+    parameters: PidParameters, state: PidState, reference: Array, rate: Array, acceleration: Array
+) -> Array:
+    """Unlimited command ``(4[, N])``; the derivative acts on the measurement, so steps do not kick.
+
+    Rate and acceleration of the reference count with `PidParameters.follow`.
+    """
     like = reference
     kp, kd = column(parameters.kp, like), column(parameters.kd, like)
     error = reference - state.measurement
     parallel = kp * error + state.integral - kd * state.rate
+    if parameters.follow:
+        parallel = parallel + kd * rate + acceleration
     cascaded = kd * (kp * error - state.rate) + state.integral
     acceleration = np.where(column(parameters.cascade, like), cascaded, parallel)
     commanded = acceleration / column(parameters.b0, like) + column(parameters.trim, like)
-    rate = np.where(column(parameters.rate_command, like), kp * error, commanded)
-    return np.where(column(parameters.pass_reference, like), reference, rate)
+    commanded = np.where(column(parameters.rate_command, like), kp * error, commanded)
+    return np.where(column(parameters.pass_reference, like), reference, commanded)
 
 
 def integrate(

@@ -152,8 +152,10 @@ class PositionOutput:
     ring: controllers.ControllerOutput = field(repr=False)
 
 
-def design_ring(name: controllers.ControllerName, numbers: PositionDesign) -> PositionParameters:
-    """Compose the ring with the controller `name`.
+def design_ring(
+    name: controllers.ControllerName, numbers: PositionDesign, *, follows: bool = False
+) -> PositionParameters:
+    """Compose the ring with the controller `name`; a PID that `follows` keeps up with a moving set point.
 
     Raises
     ------
@@ -190,6 +192,7 @@ def design_ring(name: controllers.ControllerName, numbers: PositionDesign) -> Po
         literal_filter=numbers.literal_filter,
         angular=(False, False),
         pid_gains=_pid_gains(numbers.omega_c),
+        pid_follows=follows,
         cascade=(True, True),
         cascade_gains=np.repeat(np.array(numbers.cascade_gains)[:, None], 2, axis=1),
     )

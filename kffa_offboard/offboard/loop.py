@@ -35,6 +35,7 @@ from kffa_offboard.offboard.horizontal import (
 from kffa_offboard.offboard.reference import Offset
 from kffa_offboard.offboard.settings import ServiceSettings
 from kffa_offboard.offboard.shaking import watch_thrust
+from kffa_offboard.offboard.straining import watch_strain
 from kffa_offboard.offboard.telemetry import Telemetry, before_silence
 from kffa_offboard.offboard.turns import NO_TURNS, Turns
 
@@ -66,6 +67,7 @@ class LoopState(Struct, frozen=True, gc=False):
     blend : None outside an engagement in the air
     horizontal : the position ring, None without one
     shaking : turns of the thrust that is sent in the air
+    strained_s : how long full thrust has lifted nothing
     """
 
     controller: vehicle.State
@@ -79,6 +81,7 @@ class LoopState(Struct, frozen=True, gc=False):
     blend: Blend | None = None
     horizontal: HorizontalState | None = None
     shaking: Turns = NO_TURNS
+    strained_s: float = 0.0
 
     @property
     def hold_offset(self) -> Offset:
@@ -175,7 +178,7 @@ def begin_loop(settings: ServiceSettings, known: Telemetry, time_us: int) -> Loo
 
 def forget_sent(loop: LoopState) -> LoopState:
     """Nothing has been sent in the engagement that begins, or the one that was has ended."""
-    return replace(loop, sent=None, blend=None, carrying=None, shaking=NO_TURNS)
+    return replace(loop, sent=None, blend=None, carrying=None, shaking=NO_TURNS, strained_s=0.0)
 
 
 def step_loop(
@@ -242,6 +245,7 @@ def _step_controller(
         loop.blend,
         horizontal,
         loop.shaking,
+        loop.strained_s,
     )
     return loop, measured, output
 
@@ -266,9 +270,12 @@ def _send(
     sent = command_of(settings, known.attitude.attitude, checked.target, near) if checked.changed else wanted
     applied = flown if flown is not None else sent if order.acting else own
     controller, thrust = loop.controller, checked.target.thrust
-    shaking, fault = NO_TURNS, None
+    shaking, strained_s, fault = NO_TURNS, 0.0, None
     if order.acting and order.airborne:
+        climb_rate = output.estimate_rate[3]
         shaking, fault = watch_thrust(loop.shaking, settings.limits, thrust, since)
+        if fault is None:
+            strained_s, fault = watch_strain(loop.strained_s, settings.limits, thrust, climb_rate, since)
     if fault is not None:
         return loop, LoopStep(None, replace(trace, command=wanted, applied=wanted), fault)
     if applied is not output.command:  # its own it knows
@@ -285,6 +292,7 @@ def _send(
         loop.blend,
         loop.horizontal,
         shaking,
+        strained_s,
     )
     if sent is not wanted:
         output = replace(output, saturated=_limited(output, sent, wanted))

@@ -230,18 +230,23 @@ def _watch_changes(
         before = load.mass - change if state.change is None else state.change.before
         return replace(state, change=Change(time_us, before)), ()
     if change < 0.0:
-        return _named(state, load, 0.0, load.mass - change)
+        return _named(settings, state, load, 0.0, load.mass - change)
     pending = state.change
     if pending is None and isinf(state.estimator.suspected):
         told = load.mass + (state.told - load.mass) * exp(-sample.dt / TOLD_MEMORY_S)
         return replace(state, told=told), ()
     if pending is None or time_us - pending.since_us < microseconds(settings.announce_s):
         return state, ()
-    return _named(state, load, load.mass if _clear(settings, load) else 0.0, pending.before)
+    return _named(settings, state, load, load.mass if _clear(settings, load) else 0.0, pending.before)
 
 
-def _named(state: Awareness, load: Load, left: float, before: float) -> _Told:
-    """The load, `before` of it, has become what is `left`, kg."""
+def _named(settings: PayloadSettings, state: Awareness, load: Load, left: float, before: float) -> _Told:
+    """The load, `before` of it, has become what is `left`, kg; nothing to say if that is the same.
+
+    So it is after a jerk: a rope that a winch brakes.
+    """
+    if abs(left - before) < 0.5 * settings.estimator.detection.minimum:
+        return replace(state, change=None, told=load.mass), ()
     word = "picked up" if left > before else "dropped"
     said = Announce(Severity.NOTICE, f"{word} {abs(left - before):.1f} kg")
     return replace(state, change=None, told=load.mass), (said,)

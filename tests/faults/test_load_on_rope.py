@@ -2,16 +2,19 @@
 
 import math
 from dataclasses import replace
+from itertools import accumulate
 
 import pytest
 
 from kffa_offboard.config import Overrides, bundled, load
 from kffa_offboard.offboard.events import SettingsChanged
+from kffa_offboard.offboard.segments import Hold, Move, Takeoff
 from kffa_offboard.offboard.swinging import for_swinging_load
 
 AT = 3.0
 PUSHED = 3.6
 LOAD_KG, LENGTH_M = 5.0, 1.0
+HOLD = (Hold(1000.0),)
 SWINGS = "the load swings: damping it"
 WIND = {"wind": {"mean_m_s": [4.0, -3.0, 0.0]}, "vehicle": {"seed": 0, "drag_n_s_m": 0.6}}
 
@@ -55,12 +58,15 @@ def fly(fault_flight):
         below_m=0.0,
         told=False,
         stiffness=0.0,
+        length_m=LENGTH_M,
+        scenario=HOLD,
+        acts=None,
     ):
         schedule = [{"time_s": AT, "mass_kg": LOAD_KG}]
         rope = {
             "payload": {
                 "clock": "boot",
-                "rope_length_m": LENGTH_M,
+                "rope_length_m": length_m,
                 "rope_below_m": below_m,
                 "rope_stiffness_n_m": stiffness,
                 "schedule": schedule,
@@ -70,7 +76,8 @@ def fly(fault_flight):
             personality,
             output=output,
             vehicle_changes=rope | (more or {}),
-            acts={PUSHED: push} if pushed else {},
+            acts=acts or ({PUSHED: push} if pushed else {}),
+            scenario=scenario,
             changes={"position": position} | (yielding(personality, output) if told else {}),
             seconds=seconds,
         ).prepare()
@@ -174,3 +181,89 @@ def test_a_stiff_one_and_a_soft_one_do_not_shake_it(fly):
         flight = fly(ring("px4", on_rope=True), 8.0, pushed=False, told=True, stiffness=stiffness)
         assert flight.released_s is None and flight.violations == []
         assert max(abs(height - 5.0) for height in flight.heights) < 0.15
+
+
+# ------------------------------------------------------------------------- a whole delivery
+
+
+@pytest.mark.parametrize(("personality", "output"), [("px4", "rates"), ("ardupilot", "attitude")])
+@pytest.mark.parametrize("length_m", [1.0, 3.0])
+def test_a_move_with_a_load_on_a_rope_ends_where_it_is_to(fly, personality, output, length_m):
+    """10 m at 2 m/s: a PID that knows the set point's place alone went 2.1 m too far, and took 21 s."""
+    moves = (Hold(2.0), Move(10.0, 0.0, 10.0, 2.0), Hold(1000.0))
+    options = {"pushed": False, "told": True, "length_m": length_m, "scenario": moves}
+    flight = fly(ring(personality, on_rope=True), 24.0, personality, output, **options)
+    assert flight.released_s is None and flight.violations == []
+    assert 10.0 < max(flight.away) < 10.4
+    arrived = flight.engaged_s + 2.0 + 11.0
+    late = flight.away[round(100 * arrived) :]
+    assert min(late) > 9.7 and max(late) < 10.3
+    assert max(flight.swing) < math.radians(14.0)
+    assert worst(flight.swing, 22.0, 24.0) < math.radians(2.5)
+
+
+DELIVERY = (
+    *(Hold(1.0), Takeoff(9.0), Hold(2.0), Move(4.0, 0.0, 7.0), Hold(2.0)),
+    *(Takeoff(5.0), Hold(2.0), Takeoff(9.0), Hold(1000.0)),
+)
+"""With 6 m of rope, from 5 m: lifted, carried, set down, lifted again."""
+
+
+@pytest.mark.parametrize(("personality", "output", "below_m"), WAYS)
+@pytest.mark.parametrize("told", [True, False])
+def test_a_load_is_lifted_off_the_ground_and_set_down(fly, personality, output, below_m, told):
+    """Its weight comes when the rope gets taut and goes when it stands; the height hardly notices."""
+    flight = fly(
+        ring(personality, on_rope=told),
+        38.0,
+        personality,
+        output,
+        more=WIND,
+        below_m=below_m,
+        told=told,
+        length_m=6.0,
+        scenario=DELIVERY,
+    )
+    assert flight.released_s is None and flight.violations == []
+    happened = [event.text for event in flight.vehicle.truth.events if event.text.startswith("load")]
+    assert happened == ["load lifted", "load set down", "load lifted"]
+    loads = [text.rpartition(" ")[0][:-4] for text in flight.texts if text.endswith("kg")]
+    assert loads == ["picked up", "dropped", "picked up"]
+    assert max(flight.tilts) < (0.22 if told else 0.3) and max(flight.heights) < 9.1
+    down = flight.vehicle.truth.time_of("load set down")
+    after = flight.heights[round(100 * down) : round(100 * down) + 100]
+    rise = max(later - lowest for lowest, later in zip(accumulate(after, min), after, strict=True))
+    assert rise < 0.03
+
+
+@pytest.mark.parametrize(("personality", "output"), [("px4", "rates"), ("ardupilot", "attitude")])
+def test_a_rope_that_has_caught_on_the_ground_ends_control(fly, personality, output):
+    """Full thrust would pull at it as long as the climb is asked for, with 130 N."""
+
+    def catch(vehicle):
+        vehicle.plant._rope.mass_kg = 1000.0
+
+    climb = (Hold(1.0), Takeoff(9.0), Hold(1000.0))
+    options = {"told": True, "length_m": 6.0, "scenario": climb, "acts": {PUSHED: catch}}
+    flight = fly(ring(personality, on_rope=True), 12.0, personality, output, **options)
+    assert "failsafe: full thrust lifts nothing for 3 s" in flight.texts
+    assert flight.released_s < 10.0 and flight.violations == []
+    assert max(flight.heights) < 6.05
+
+
+@pytest.mark.parametrize("personality", ["px4", "ardupilot"])
+def test_a_rope_that_parts_under_full_thrust_throws_the_vehicle_up_by_less_than_half_a_metre(
+    fly, personality
+):
+    """130 N more than its weight are gone at once, half a metre below the height that is asked for."""
+
+    def catch(vehicle):
+        vehicle.plant._rope.mass_kg = 1000.0
+
+    climb = (Hold(1.0), Takeoff(9.0), Hold(1000.0))
+    parts = {PUSHED: catch, 7.0: lambda vehicle: vehicle.set_load(0.0)}
+    options = {"told": True, "length_m": 6.0, "scenario": climb, "acts": parts}
+    flight = fly(ring(personality, on_rope=True), 12.0, personality, **options)
+    assert flight.released_s is None and flight.violations == []
+    assert max(flight.heights) < 9.5 and abs(flight.heights[-1] - 9.0) < 0.03
+    assert max(flight.tilts) < 0.1

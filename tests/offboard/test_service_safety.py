@@ -331,15 +331,22 @@ def test_a_command_that_is_not_finite_is_a_failsafe_and_never_sent(fake, monkeyp
     assert_failsafe(flight, "setpoint is not a finite number")
 
 
-def test_a_takeoff_that_gets_stuck_is_a_failsafe(fake):
-    flight = fake.Lockstep(fake.settings(scenario=(Takeoff(5.0),)), fake.airborne()).run_to(State.ENGAGED)
+@pytest.mark.parametrize(
+    ("height", "timeout_s", "reason"),
+    [(5.0, 10.0, "full thrust lifts nothing for 3 s"), (3.5, 0.5, "take-off stuck at 3.0 of 3.5 m")],
+)
+def test_a_takeoff_that_gets_stuck_is_a_failsafe(fake, height, timeout_s, reason):
+    """Held down, as by a rope, under full thrust; or not there in the time that there is for the last bit."""
+    settings = fake.settings(scenario=(Takeoff(height),))
+    settings = replace(settings, flight=replace(settings.flight, arrival_timeout_s=timeout_s))
+    flight = fake.Lockstep(settings, fake.airborne()).run_to(State.ENGAGED)
     flight.change = lambda event: (
         structs.replace(event, position=(0.0, 0.0, 3.0), velocity=(0.0, event.velocity[1], 0.0))
         if isinstance(event, events.PositionReceived)
         else event
     )
     flight.run(20.0, lambda: flight.service.finished is not None)
-    assert flight.service.finished.reason.startswith("failsafe: take-off stuck at 3.0 of 5.0 m")
+    assert flight.service.finished.reason.startswith(f"failsafe: {reason}")
 
 
 def test_a_fault_while_nothing_is_in_our_hands_starts_the_observers_anew(fake):
