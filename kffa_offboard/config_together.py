@@ -11,7 +11,8 @@ from math import sqrt
 from kffa_offboard.config_control import AttitudeAxisTable, ChannelTable, ControlTable
 from kffa_offboard.config_payload import PayloadTable
 from kffa_offboard.config_position import damping_controller
-from kffa_offboard.config_tables import ConfigFile, TakeoffTable
+from kffa_offboard.config_scenario import TakeoffTable
+from kffa_offboard.config_tables import ConfigFile
 from kffa_offboard.control.pendulum import damped_ropes
 from kffa_offboard.control.position import answer_of
 

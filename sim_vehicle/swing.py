@@ -135,8 +135,9 @@ def _keeping_length(
     """
     along = (direction * relative).sum(axis=0)
     across = (relative**2).sum(axis=0) - along**2
-    turning: Row = across / rope.length - (direction * free_acceleration).sum(axis=0)
-    return turning + (along - rope.rate) / (4.0 * dt) + (distance - rope.length) / (16.0 * dt * dt)
+    turning = across / rope.length - (direction * free_acceleration).sum(axis=0)
+    left = (along - rope.rate) / (4.0 * dt) + (distance - rope.length) / (16.0 * dt * dt)
+    return np.asarray(turning + left)
 
 
 def _on_the_ground(

@@ -128,6 +128,7 @@ def test_a_scenario_becomes_segments_in_radians_and_metres(file: Path) -> None:
     [scenario]
     segment = [
       {{ type = "takeoff", altitude_m = 5 }},
+      {{ type = "altitude", altitude_m = 3, speed_m_s = 0.5 }},
       {{ type = "step", channel = "roll", amplitude_deg = 10, duration_s = 2 }},
       {{ type = "sine", channel = "altitude", amplitude_m = -0.5, period_s = 4, cycles = 2 }},
       {{ type = "triangle", channel = "yaw", amplitude_deg = 90, period_s = 8 }},
@@ -138,6 +139,7 @@ def test_a_scenario_becomes_segments_in_radians_and_metres(file: Path) -> None:
     """
     assert loaded(file, text).service.scenario == (
         segments.Takeoff(5.0),
+        segments.Altitude(3.0, 0.5),
         segments.Step("roll", math.radians(10), 2.0),
         segments.Sine("altitude", -0.5, 4.0, 2.0),
         segments.Triangle("yaw", math.radians(90), 8.0),

@@ -255,8 +255,11 @@ def test_numbers_that_do_not_fly_together_are_refused_with_the_remedy(
 @pytest.mark.parametrize(
     ("segment", "expected"),
     [
-        ('type = "takof"', 'scenario.segment 1: type = "takof": must be one of "takeoff", "hold", '),
-        ("altitude_m = 3", 'scenario.segment 1: type is missing; write type = one of "takeoff", '),
+        ('type = "takof"', 'scenario.segment 1: type = "takof": must be one of "takeoff", "altitude", '),
+        (
+            "altitude_m = 3",
+            'scenario.segment 1: type is missing; write type = one of "takeoff", "altitude", ',
+        ),
         (
             'type = "takeoff"',
             "scenario.segment 1 (takeoff).altitude_m: missing; give the altitude to climb to",
@@ -268,6 +271,10 @@ def test_numbers_that_do_not_fly_together_are_refused_with_the_remedy(
         (
             'type = "step"\nchannel = "roll"\namplitude_m = 1\nduration_s = 1',
             'scenario.segment 1 (step): channel = "roll" needs amplitude_deg, and not amplitude_m',
+        ),
+        (
+            'type = "altitude"\naltitude_m = 80',
+            "altitude 80.0 m is not below limits.altitude_max_m = 50.0 m; lower the one or raise the other",
         ),
         (
             'type = "takeoff"\naltitude_m = 80',

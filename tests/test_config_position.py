@@ -54,6 +54,7 @@ def test_a_rope_brings_a_ring_that_damps_and_roll_and_pitch_that_yield(tmp_path:
     assert told.position.ring.controller.name == "kffa-ladrc"  # it observes until setpoints act
     damping = told.position.damping.controller.pid
     assert damping is not None and damping.kd.tolist() == pytest.approx([3 * 0.375] * 2)
+    assert damping.follow  # a set point that moves
     assert told.controller.law is not None and told.controller.law.rejection is not None
     assert told.controller.law.rejection.tolist() == [0.0, 0.0, 1.0, 1.0]
 

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from math import hypot, pi
 
-from kffa_offboard.offboard.segments import Land, Move, Segment, Sine, Step, Takeoff, Triangle
+from kffa_offboard.offboard.segments import Altitude, Land, Move, Segment, Sine, Step, Takeoff, Triangle
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +42,7 @@ def course_problem(segments: tuple[Segment, ...], bounds: Bounds, height: float 
                 return (
                     f"{where} {away}, {bounds.reach:g} possible with limits.fence_radius_m = {bounds.fence:g}"
                 )
-        if isinstance(segment, Takeoff):
+        if isinstance(segment, (Takeoff, Altitude)):
             height = segment.altitude_m
         if height is None:
             continue
@@ -55,7 +55,7 @@ def course_problem(segments: tuple[Segment, ...], bounds: Bounds, height: float 
 def _climb_rate(segment: Segment) -> float:
     """Fastest change of height that a segment asks for, m/s; a step has none of its own."""
     match segment:
-        case Takeoff():
+        case Takeoff() | Altitude():
             return segment.climb_rate_m_s
         case Land():
             return segment.descent_rate_m_s
@@ -70,7 +70,7 @@ def _climb_rate(segment: Segment) -> float:
 def _heights(segment: Segment, height: float) -> Iterator[float]:
     """Heights that a segment asks for, m."""
     match segment:
-        case Takeoff():
+        case Takeoff() | Altitude():
             yield segment.altitude_m
         case Step(channel="altitude"):
             yield height + segment.amplitude

@@ -16,6 +16,7 @@ from msgspec.structs import replace
 
 from kffa_offboard.offboard.profile import Profile, plan_profile, profile_altitude
 from kffa_offboard.offboard.segments import (
+    Altitude,
     Channel,
     Gripper,
     Hold,
@@ -33,6 +34,7 @@ from kffa_offboard.offboard.segments import (
 from kffa_offboard.offboard.settings import FlightSettings
 
 __all__ = [
+    "Altitude",
     "Channel",
     "Gripper",
     "Hold",
@@ -95,8 +97,8 @@ class ScenarioState(Struct, frozen=True, gc=False):
     yaw : rad, heading at engaging
     ground : m, altitude that take-off and landing count from
     segment_index, started_s : current segment and its nominal beginning
-    profile : of the current take-off
-    near_since_s : since when the vehicle is at the take-off altitude
+    profile : of the current take-off or change of altitude
+    near_since_s : since when the vehicle is where that ends
     descent_rate : m/s, momentary speed of the landing reference, positive down
     last_s : time of the last step
     offset : m, x and y of the set point from where the position was captured (position ring)
@@ -140,13 +142,13 @@ def current_segment(segments: tuple[Segment, ...], state: ScenarioState) -> Segm
 
 def begin_takeoff(
     settings: FlightSettings,
-    segment: Takeoff,
+    segment: Takeoff | Altitude,
     state: ScenarioState,
     now_s: float,
     altitude: float,
     climb_rate: float,
 ) -> ScenarioState:
-    """Start the climb of a take-off at `now_s` from `altitude` [m] and `climb_rate` [m/s]."""
+    """Start to go to another altitude at `now_s` from `altitude` [m] and `climb_rate` [m/s]."""
     profile = plan_profile(
         altitude,
         state.ground + segment.altitude_m,
@@ -180,7 +182,7 @@ def step_scenario(
             actions.append(segment.action)
             state = _next(state, state.started_s)
             continue
-        if isinstance(segment, Takeoff) and state.profile is None:
+        if isinstance(segment, (Takeoff, Altitude)) and state.profile is None:
             state = begin_takeoff(settings, segment, state, state.started_s, state.hold_altitude, 0.0)
         state, reference, ended_s, fault = _step_segment(settings, segment, state, now_s, altitude)
         if ended_s is None or fault is not None:
@@ -216,8 +218,8 @@ def _step_segment(
         case Hold():
             ends = state.started_s + segment.duration_s
             return state, _level(state), ends if now_s >= ends else None, None
-        case Takeoff():
-            return _step_takeoff(settings, state, now_s, altitude)
+        case Takeoff() | Altitude():
+            return _step_takeoff(settings, segment, state, now_s, altitude)
         case Land():
             return _step_land(settings, segment, state, now_s, altitude)
         case Move():
@@ -244,7 +246,9 @@ def _step_move(settings: FlightSettings, segment: Move, state: ScenarioState, no
     return state, _level(state), ends if now_s >= ends else None, None
 
 
-def _step_takeoff(settings: FlightSettings, state: ScenarioState, now_s: float, altitude: float) -> _Progress:
+def _step_takeoff(
+    settings: FlightSettings, segment: Takeoff | Altitude, state: ScenarioState, now_s: float, altitude: float
+) -> _Progress:
     profile = state.profile
     assert profile is not None
     elapsed = now_s - state.started_s
@@ -256,7 +260,8 @@ def _step_takeoff(settings: FlightSettings, state: ScenarioState, now_s: float, 
         return state, _level(state), now_s, None
     fault = None
     if near_since is None and elapsed > profile.duration + settings.arrival_timeout_s:
-        fault = f"take-off stuck at {altitude:.1f} of {profile.target:.1f} m"
+        what = "take-off" if isinstance(segment, Takeoff) else "altitude"
+        fault = f"{what} stuck at {altitude:.1f} of {profile.target:.1f} m"
     return state, _level(state), None, fault
 
 

@@ -24,6 +24,19 @@ class Takeoff:
 
 
 @dataclass(frozen=True, slots=True)
+class Altitude:
+    """Climb or descend to `altitude_m`, which counts as a take-off's; only in the air."""
+
+    altitude_m: float
+    speed_m_s: float = 1.0
+
+    @property
+    def climb_rate_m_s(self) -> float:
+        """The same under a take-off's name."""
+        return self.speed_m_s
+
+
+@dataclass(frozen=True, slots=True)
 class Hold:
     """Keep attitude level, heading and altitude for `duration_s`."""
 
@@ -97,7 +110,7 @@ class Land:
 
 
 Wave: TypeAlias = Step | Triangle | Sine
-Segment: TypeAlias = Takeoff | Hold | Wave | Move | Gripper | Land
+Segment: TypeAlias = Takeoff | Altitude | Hold | Wave | Move | Gripper | Land
 
 
 def _numbers(segment: Segment) -> list[tuple[str, float]]:
@@ -105,6 +118,8 @@ def _numbers(segment: Segment) -> list[tuple[str, float]]:
     match segment:
         case Takeoff():
             return [("altitude_m", segment.altitude_m), ("climb_rate_m_s", segment.climb_rate_m_s)]
+        case Altitude():
+            return [("altitude_m", segment.altitude_m), ("speed_m_s", segment.speed_m_s)]
         case Hold() | Step():
             return [("duration_s", segment.duration_s)]
         case Move():

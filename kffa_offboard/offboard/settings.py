@@ -7,14 +7,15 @@ All records are frozen. Suffixes give units: `_s`, `_us`, `_hz`, `_m`, `_m_s`, `
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from math import ceil, degrees, inf, isfinite, pi
+from math import degrees, inf, isfinite, pi
 from typing import Literal, TypeAlias
 
 from kffa_offboard.control.controllers import ControllerParameters
 from kffa_offboard.control.position import PositionParameters
-from kffa_offboard.offboard.course import Bounds, course_problem
+from kffa_offboard.offboard.course import Bounds
 from kffa_offboard.offboard.payload_settings import PayloadSettings
-from kffa_offboard.offboard.segments import Land, Move, Segment, Sine, Step, Takeoff, Triangle, check_scenario
+from kffa_offboard.offboard.scenario_fits import check_fits
+from kffa_offboard.offboard.segments import Segment
 
 FailsafeAction: TypeAlias = Literal["stop", "hold", "land"]
 OutputKind: TypeAlias = Literal["rates", "attitude"]
@@ -343,12 +344,7 @@ class ServiceSettings:
                 f"limits.thrust_min = {self.limits.thrust_min}: touch-down is noticed below thrust "
                 f"{touchdown:.3f}; set thrust_min lower"
             )
-        check_scenario(self.scenario)
-        self._check_altitudes()
-        problem = course_problem(self.scenario, self.limits.bounds, None)
-        if problem is not None:
-            raise ValueError(f"scenario {problem}")
-        self._check_position()
+        check_fits(self.scenario, self.limits, self.flight, self.position)
 
     @property
     def reference_lag_s(self) -> float:
@@ -359,48 +355,3 @@ class ServiceSettings:
         """
         differentiator = self.controller.differentiator
         return 0.0 if differentiator is None else 2.0 * differentiator.filter_time
-
-    def _check_altitudes(self) -> None:
-        for segment in self.scenario:
-            if isinstance(segment, Takeoff) and segment.altitude_m >= self.limits.altitude_max_m:
-                raise ValueError(
-                    f"take-off altitude {segment.altitude_m} m is not below limits.altitude_max_m = "
-                    f"{self.limits.altitude_max_m} m; lower the one or raise the other"
-                )
-            if isinstance(segment, Land) and self.limits.altitude_min_m >= 0.0:
-                raise ValueError(
-                    f"limits.altitude_min_m = {self.limits.altitude_min_m} m makes landing a failsafe; "
-                    "set it below zero"
-                )
-
-    def _check_position(self) -> None:
-        """Who commands roll and pitch: the position ring or the scenario, never both."""
-        ring = self.position
-        if ring is not None and ring.tilt_max_rad > self.limits.tilt_max_rad + 1e-9:
-            raise ValueError(
-                f"position.tilt_max_deg = {degrees(ring.tilt_max_rad):g}: is above limits.tilt_max_deg "
-                f"= {degrees(self.limits.tilt_max_rad):g}; lower the one or raise the other"
-            )
-        for k, segment in enumerate(self.scenario, start=1):
-            if isinstance(segment, Move):
-                if ring is None:
-                    raise ValueError(
-                        f"scenario segment {k} (move): needs the position ring; set [position] enabled = true"
-                    )
-                self._check_move(k, segment)
-            if ring is None or not isinstance(segment, (Step, Triangle, Sine)):
-                continue
-            if segment.channel in ("roll", "pitch"):
-                raise ValueError(
-                    f"scenario segment {k}: {segment.channel} is commanded by the position ring; remove the "
-                    "segment or set [position] enabled = false"
-                )
-
-    def _check_move(self, k: int, segment: Move) -> None:
-        needed = segment.profile(self.flight.acceleration_m_s2).duration
-        if segment.duration_s < needed:
-            raise ValueError(
-                f"scenario segment {k} (move): duration_s = {segment.duration_s:g} is too short at "
-                f"speed_m_s = {segment.speed_m_s:g} and flight.acceleration_m_s2 = "
-                f"{self.flight.acceleration_m_s2:g}; give at least {ceil(10.0 * needed) / 10.0:g}"
-            )

@@ -8,7 +8,7 @@ import pytest
 
 from kffa_offboard.config import Overrides, bundled, load
 from kffa_offboard.offboard.events import SettingsChanged
-from kffa_offboard.offboard.segments import Hold, Move, Takeoff
+from kffa_offboard.offboard.segments import Altitude, Hold, Move
 from kffa_offboard.offboard.swinging import for_swinging_load
 
 AT = 3.0
@@ -203,8 +203,8 @@ def test_a_move_with_a_load_on_a_rope_ends_where_it_is_to(fly, personality, outp
 
 
 DELIVERY = (
-    *(Hold(1.0), Takeoff(9.0), Hold(2.0), Move(4.0, 0.0, 7.0), Hold(2.0)),
-    *(Takeoff(5.0), Hold(2.0), Takeoff(9.0), Hold(1000.0)),
+    *(Hold(1.0), Altitude(9.0), Hold(2.0), Move(4.0, 0.0, 7.0), Hold(2.0)),
+    *(Altitude(5.0), Hold(2.0), Altitude(9.0), Hold(1000.0)),
 )
 """With 6 m of rope, from 5 m: lifted, carried, set down, lifted again."""
 
@@ -243,7 +243,7 @@ def test_a_rope_that_has_caught_on_the_ground_ends_control(fly, personality, out
     def catch(vehicle):
         vehicle.plant._rope.mass_kg = 1000.0
 
-    climb = (Hold(1.0), Takeoff(9.0), Hold(1000.0))
+    climb = (Hold(1.0), Altitude(9.0), Hold(1000.0))
     options = {"told": True, "length_m": 6.0, "scenario": climb, "acts": {PUSHED: catch}}
     flight = fly(ring(personality, on_rope=True), 12.0, personality, output, **options)
     assert "failsafe: full thrust lifts nothing for 3 s" in flight.texts
@@ -260,7 +260,7 @@ def test_a_rope_that_parts_under_full_thrust_throws_the_vehicle_up_by_less_than_
     def catch(vehicle):
         vehicle.plant._rope.mass_kg = 1000.0
 
-    climb = (Hold(1.0), Takeoff(9.0), Hold(1000.0))
+    climb = (Hold(1.0), Altitude(9.0), Hold(1000.0))
     parts = {PUSHED: catch, 7.0: lambda vehicle: vehicle.set_load(0.0)}
     options = {"told": True, "length_m": 6.0, "scenario": climb, "acts": parts}
     flight = fly(ring(personality, on_rope=True), 12.0, personality, **options)

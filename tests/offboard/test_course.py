@@ -12,7 +12,7 @@ from kffa_offboard.offboard import events, external
 from kffa_offboard.offboard.course import Bounds, course_problem
 from kffa_offboard.offboard.events import PositionSetpoint, Signals
 from kffa_offboard.offboard.guard import Wish, check_wish
-from kffa_offboard.offboard.segments import Hold, Land, Move, Sine, Step, Takeoff, Triangle
+from kffa_offboard.offboard.segments import Altitude, Hold, Land, Move, Sine, Step, Takeoff, Triangle
 from kffa_offboard.offboard.service import State
 from kffa_offboard.offboard.settings import LimitSettings
 
@@ -24,6 +24,9 @@ UP = Takeoff(8.0)
     ("segments", "words"),
     [
         ((Takeoff(12.0),), "segment 1 (takeoff): goes to 12.0 m, outside -3 .. 10 m"),
+        ((UP, Altitude(12.0)), "segment 2 (altitude): goes to 12.0 m, outside -3 .. 10 m"),
+        ((UP, Altitude(2.0, 6.0)), "segment 2 (altitude): climbs or sinks at 6 m/s"),
+        ((UP, Altitude(9.0), Step("altitude", 1.5, 1.0)), "segment 3 (step): goes to 10.5 m"),
         ((UP, Step("altitude", 2.5, 1.0)), "segment 2 (step): goes to 10.5 m"),
         ((UP, Sine("altitude", 2.5, 10.0)), "segment 2 (sine): goes to 10.5 m"),
         ((UP, Triangle("altitude", -2.5, 10.0)), "segment 2 (triangle): goes to 10.5 m"),

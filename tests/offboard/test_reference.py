@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from kffa_offboard.offboard.reference import (
+    Altitude,
     Gripper,
     Hold,
     Land,
@@ -123,13 +124,26 @@ def test_a_takeoff_in_the_air_ends_half_a_second_after_arriving():
     assert done == pytest.approx(arrival + SETTINGS.arrival_time_s + 1.0, abs=0.03)
 
 
-def test_a_vehicle_that_does_not_follow_the_takeoff_is_a_fault():
+def test_another_altitude_is_gone_to_with_its_speed_and_kept():
+    references, _, done = play((Takeoff(5.0, 1.0), Altitude(2.0, 0.5), Hold(1.0)), 12.0)
+    begins = 3.0 + SETTINGS.arrival_time_s
+    steepest = np.diff(references[round(begins / 0.01) :, 3]).min() / 0.01
+    assert steepest == pytest.approx(-0.5, abs=1e-3)
+    needed = 3.0 / 0.5 + 0.5  # distance / speed + speed / acceleration
+    assert references[round((begins + needed) / 0.01) + 2, 3] == pytest.approx(2.0)
+    assert done == pytest.approx(begins + needed + SETTINGS.arrival_time_s + 1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("segment", "words"), [(Takeoff(2.0), "take-off stuck at 0.5"), (Altitude(2.0), "altitude stuck at 0.5")]
+)
+def test_a_vehicle_that_does_not_follow_is_a_fault(segment, words):
     state = ScenarioState(hold_altitude=0.0, yaw=0.0, ground=0.0)
     for k in range(2000):
-        state, out = step_scenario(SETTINGS, (Takeoff(2.0, 1.0),), state, k * 0.01, 0.5)
+        state, out = step_scenario(SETTINGS, (segment,), state, k * 0.01, 0.5)
         if out.fault:
             break
-    assert "take-off stuck at 0.5 of 2.0 m" in out.fault
+    assert f"{words} of 2.0 m" in out.fault
     assert k * 0.01 == pytest.approx(3.0 + SETTINGS.arrival_timeout_s, abs=0.03)
 
 
@@ -179,5 +193,6 @@ def test_a_scenario_that_cannot_be_flown_is_refused_by_name(segments, words):
 def test_only_holds_and_the_gripper_may_come_before_a_takeoff_on_the_ground():
     assert starts_on_ground((Hold(1.0), Gripper("grab"), Takeoff(2.0), Land()))
     assert not starts_on_ground((Step("roll", 0.1, 1.0), Takeoff(2.0)))
+    assert not starts_on_ground((Altitude(2.0), Takeoff(2.0)))
     assert not starts_on_ground((Hold(1.0),))
     assert not starts_on_ground(())
