@@ -42,7 +42,7 @@ def loaded(file: Path, text: str, overrides: Overrides | None = None) -> DaemonC
 
 CONFIGS = (
     *("demo-px4", "demo-ardupilot", "demo-px4-position", "demo-ardupilot-position"),
-    *("demo-px4-release", "demo-ardupilot-release"),
+    *("demo-px4-release", "demo-ardupilot-release", "demo-px4-rope", "demo-ardupilot-rope"),
     *("px4-udp", "ardupilot-udp", "serial"),
 )
 

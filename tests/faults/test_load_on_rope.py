@@ -186,8 +186,9 @@ def test_a_stiff_one_and_a_soft_one_do_not_shake_it(fly):
 # ------------------------------------------------------------------------- a whole delivery
 
 
-@pytest.mark.parametrize(("personality", "output"), [("px4", "rates"), ("ardupilot", "attitude")])
-@pytest.mark.parametrize("length_m", [1.0, 3.0])
+@pytest.mark.parametrize(
+    ("personality", "output", "length_m"), [("px4", "rates", 1.0), ("ardupilot", "attitude", 3.0)]
+)
 def test_a_move_with_a_load_on_a_rope_ends_where_it_is_to(fly, personality, output, length_m):
     """10 m at 2 m/s: a PID that knows the set point's place alone went 2.1 m too far, and took 21 s."""
     moves = (Hold(2.0), Move(10.0, 0.0, 10.0, 2.0), Hold(1000.0))
@@ -209,8 +210,10 @@ DELIVERY = (
 """With 6 m of rope, from 5 m: lifted, carried, set down, lifted again."""
 
 
-@pytest.mark.parametrize(("personality", "output", "below_m"), WAYS)
-@pytest.mark.parametrize("told", [True, False])
+@pytest.mark.parametrize(
+    ("personality", "output", "below_m", "told"),
+    [(*way, told) for way, told in zip(WAYS, (True, False, False, True), strict=True)],
+)
 def test_a_load_is_lifted_off_the_ground_and_set_down(fly, personality, output, below_m, told):
     """Its weight comes when the rope gets taut and goes when it stands; the height hardly notices."""
     flight = fly(
