@@ -6,7 +6,7 @@ The numbers are those of `control.position.PositionDesign`, degrees for the tilt
 
 from __future__ import annotations
 
-from math import radians
+from math import radians, sqrt
 from typing import Annotated
 
 from pydantic import model_validator
@@ -28,7 +28,8 @@ class PositionTable(Table):
     sum if left out. Needs LOCAL_POSITION_NED with x and y.
 
     Where a load swings on a rope (`payload.rope_length_m`, or it shows) the ring goes on as a PID with three
-    poles at a quarter of `omega_c`, which damps the swing.
+    poles at a quarter of `omega_c`, which damps the swing; with a rope that is told, set points move so
+    that they start none (`offboard/sway.py`).
     """
 
     enabled: bool = False
@@ -73,6 +74,7 @@ class PositionTable(Table):
             speed_max_m_s=self.speed_max_m_s,
             damping=None if damps == control.controller else design_ring(damps, numbers, follows=True),
             on_rope=rope_length_m > 0.0,
+            sway_rad_s=sqrt(numbers.gravity / rope_length_m) if rope_length_m > 0.0 else 0.0,
         )
 
     def numbers(self, control: ControlTable) -> PositionDesign:

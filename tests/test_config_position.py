@@ -55,6 +55,7 @@ def test_a_rope_brings_a_ring_that_damps_and_roll_and_pitch_that_yield(tmp_path:
     damping = told.position.damping.controller.pid
     assert damping is not None and damping.kd.tolist() == pytest.approx([3 * 0.375] * 2)
     assert damping.follow  # a set point that moves
+    assert told.position.sway_rad_s == pytest.approx((9.80665 / 4.0) ** 0.5)
     assert told.controller.law is not None and told.controller.law.rejection is not None
     assert told.controller.law.rejection.tolist() == [0.0, 0.0, 1.0, 1.0]
 
@@ -98,6 +99,11 @@ def test_a_move_becomes_a_segment(tmp_path: Path) -> None:
             "position.tilt_max_deg = 0.35: is below 3 deg; were these radians?",
         ),
         ("[position]\nomega_o = 1.0\n", "must rise in this order"),
+        (
+            f"[position]\nenabled = true\n[payload]\nrope_length_m = 10\n{MOVE}",
+            "duration_s = 5 is too short at speed_m_s = 2 and flight.acceleration_m_s2 = 1 on that rope; "
+            "give at least 7.6",
+        ),
         ("[position]\nenabled = true\ntilt_max_deg = 40\n", "is above limits.tilt_max_deg = 30"),
     ],
 )

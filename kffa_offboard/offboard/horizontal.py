@@ -7,7 +7,7 @@ come to rest; from then on that place, moved by the scenario, is held.
 
 A load that swings on a rope would be driven by the ring (`control/pendulum.py`). Where a rope is told, or
 the swing shows, another one holds the place while the daemon's setpoints act; at other times the first one
-observes.
+observes. With a rope that is told, the set point moves so that the load does not begin to swing (`sway.py`).
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ from kffa_offboard.offboard.events import PositionReceived
 from kffa_offboard.offboard.flight import Directive
 from kffa_offboard.offboard.reference import Offset, Reference
 from kffa_offboard.offboard.settings import PositionSettings
+from kffa_offboard.offboard.sway import Sway, without_sway
 from kffa_offboard.offboard.swinging import NO_SWING, Swing, steady_part, watch_swing
 from kffa_offboard.offboard.telemetry import Telemetry
 
@@ -39,6 +40,8 @@ class HorizontalState(Struct, frozen=True, gc=False):
     swing : the disturbance as far as it may be a load that swings
     swings : there is such a load
     damps : `ring` is the state of the ring that damps
+    offset : m, where the ring is told to be, from `captured`
+    sway : what keeps that from making a load swing; None without a rope
     """
 
     ring: controllers.ControllerState
@@ -48,6 +51,8 @@ class HorizontalState(Struct, frozen=True, gc=False):
     swing: Swing = NO_SWING
     swings: bool = False
     damps: bool = False
+    offset: Offset = (0.0, 0.0)
+    sway: Sway | None = None
 
 
 def flown_ring(settings: PositionSettings, state: HorizontalState) -> position.PositionParameters:
@@ -93,8 +98,12 @@ def step_horizontal(
         ring = position.align_reference(parameters, ring)
         stop = _stop(settings, parameters, ring)
         captured = (stop[0] - directive.offset[0], stop[1] - directive.offset[1])
+    sway, offset = state.sway, directive.offset
+    if settings.sway_rad_s > 0.0:
+        sway = Sway(offset) if directive.align or sway is None else sway
+        sway, offset = without_sway(sway, settings.sway_rad_s, offset, dt)
     inputs = position.PositionInput(
-        reference=np.add(captured, directive.offset),
+        reference=np.add(captured, offset),
         measurement=np.array(known.position.position[:2]),
         fresh=np.full(2, fresh),
         yaw=known.attitude.attitude[2],
@@ -117,6 +126,8 @@ def step_horizontal(
         swing=swing,
         swings=state.swings or swing.shows,
         damps=state.damps,
+        offset=offset,
+        sway=sway,
     )
     _, _, yaw, altitude = directive.reference
     roll, pitch = (0.0, 0.0) if grounded else output.attitude.tolist()
@@ -155,11 +166,11 @@ def _stop(
     return x + time * vx, y + time * vy
 
 
-def position_reference(state: HorizontalState | None, directive: Directive) -> tuple[float, float] | None:
-    """Where the ring is told to be, m; None without one."""
+def position_reference(state: HorizontalState | None) -> tuple[float, float] | None:
+    """Where the ring was told to be in the last step, m; None without one."""
     if state is None:
         return None
-    return state.captured[0] + directive.offset[0], state.captured[1] + directive.offset[1]
+    return state.captured[0] + state.offset[0], state.captured[1] + state.offset[1]
 
 
 def astray(settings: PositionSettings | None, state: HorizontalState | None) -> str | None:

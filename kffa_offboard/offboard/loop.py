@@ -203,7 +203,7 @@ def step_loop(
         pairs = zip(flown, as_measured(settings, known, near), strict=True)
         flown = tuple(command if isfinite(command) else instead for command, instead in pairs)
     own = _NOTHING if order.controls() else autopilot_command(settings, known, time_us, near)
-    place = None if loop.horizontal is None else position_reference(loop.horizontal, order.directive)
+    place = position_reference(loop.horizontal)
     if order.sending:
         trace = Trace(time_us, dt, place, measured, output, output.command, own)
         return _send(settings, loop, known, order, trace, flown)

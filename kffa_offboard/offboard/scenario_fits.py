@@ -6,6 +6,7 @@ from math import ceil, degrees
 from typing import TYPE_CHECKING
 
 from kffa_offboard.offboard.course import course_problem
+from kffa_offboard.offboard.sway import ARRIVING
 from kffa_offboard.offboard.segments import (
     Altitude,
     Land,
@@ -72,12 +73,14 @@ def _check_roll_and_pitch(
             raise ValueError(
                 f"scenario segment {k} (move): needs the position ring; set [position] enabled = true"
             )
-        needed = segment.profile(flight.acceleration_m_s2).duration
+        needed, why = segment.profile(flight.acceleration_m_s2).duration, ""
+        if ring.sway_rad_s > 0.0:
+            needed, why = needed + ARRIVING / ring.sway_rad_s, " on that rope"
         if segment.duration_s < needed:
             raise ValueError(
                 f"scenario segment {k} (move): duration_s = {segment.duration_s:g} is too short at "
                 f"speed_m_s = {segment.speed_m_s:g} and flight.acceleration_m_s2 = "
-                f"{flight.acceleration_m_s2:g}; give at least {ceil(10.0 * needed) / 10.0:g}"
+                f"{flight.acceleration_m_s2:g}{why}; give at least {ceil(10.0 * needed) / 10.0:g}"
             )
     if ring is None or not isinstance(segment, (Step, Triangle, Sine)):
         return

@@ -274,6 +274,7 @@ class PositionSettings:
     ring : from `control.position.design_ring`
     damping : the ring that takes its place where a load swings on a rope; None if `ring` damps a swing itself
     on_rope : loads are known to hang on one
+    sway_rad_s : with which they swing on it, 0 without
     tilt_max_rad : largest tilt that the ring commands
     braking_m_s2 : deceleration that is reckoned with when the place to stop is captured
     error_max_m : distance between set point and estimate that is a failsafe
@@ -289,6 +290,7 @@ class PositionSettings:
     speed_max_m_s: float = 20.0
     damping: PositionParameters | None = None
     on_rope: bool = False
+    sway_rad_s: float = 0.0
 
     def __post_init__(self) -> None:
         _require(self, "position")

@@ -33,6 +33,11 @@ def ring(personality, **changes):
     return replace(position, **changes)
 
 
+def on_rope(personality, length_m):
+    """The ring that is told of a rope of this length."""
+    return ring(personality, on_rope=True, sway_rad_s=math.sqrt(9.80665 / length_m))
+
+
 def yielding(personality, output):
     """The demonstration's controller as a configuration with a rope has it."""
     service = load(bundled(f"demo-{personality}.toml"), Overrides(output=output)).service
@@ -193,18 +198,28 @@ def test_a_move_with_a_load_on_a_rope_ends_where_it_is_to(fly, personality, outp
     """10 m at 2 m/s: a PID that knows the set point's place alone went 2.1 m too far, and took 21 s."""
     moves = (Hold(2.0), Move(10.0, 0.0, 10.0, 2.0), Hold(1000.0))
     options = {"pushed": False, "told": True, "length_m": length_m, "scenario": moves}
-    flight = fly(ring(personality, on_rope=True), 24.0, personality, output, **options)
+    flight = fly(on_rope(personality, length_m), 24.0, personality, output, **options)
     assert flight.released_s is None and flight.violations == []
-    assert 10.0 < max(flight.away) < 10.4
+    assert 10.0 < max(flight.away) < 10.2
     arrived = flight.engaged_s + 2.0 + 11.0
     late = flight.away[round(100 * arrived) :]
-    assert min(late) > 9.7 and max(late) < 10.3
-    assert max(flight.swing) < math.radians(14.0)
-    assert worst(flight.swing, 22.0, 24.0) < math.radians(2.5)
+    assert min(late) > 9.8 and max(late) < 10.2
+    assert max(flight.swing) < math.radians(9.0 if length_m == 1.0 else 6.0)
+    assert worst(flight.swing, 22.0, 24.0) < math.radians(1.5)
+
+
+def test_a_set_point_that_takes_no_care_makes_the_load_swing_three_times_as_much(fly):
+    """What the frequency of the rope is for."""
+    moves = (Hold(2.0), Move(10.0, 0.0, 10.0, 2.0), Hold(1000.0))
+    options = {"pushed": False, "told": True, "length_m": 3.0, "scenario": moves}
+    careless, careful = (
+        fly(position, 16.0, **options) for position in (ring("px4", on_rope=True), on_rope("px4", 3.0))
+    )
+    assert max(careless.swing) > 2.2 * max(careful.swing)
 
 
 DELIVERY = (
-    *(Hold(1.0), Altitude(9.0), Hold(2.0), Move(4.0, 0.0, 7.0), Hold(2.0)),
+    *(Hold(1.0), Altitude(9.0), Hold(2.0), Move(4.0, 0.0, 8.0), Hold(2.0)),
     *(Altitude(5.0), Hold(2.0), Altitude(9.0), Hold(1000.0)),
 )
 """With 6 m of rope, from 5 m: lifted, carried, set down, lifted again."""
@@ -217,8 +232,8 @@ DELIVERY = (
 def test_a_load_is_lifted_off_the_ground_and_set_down(fly, personality, output, below_m, told):
     """Its weight comes when the rope gets taut and goes when it stands; the height hardly notices."""
     flight = fly(
-        ring(personality, on_rope=told),
-        38.0,
+        on_rope(personality, 6.0) if told else ring(personality),
+        39.0,
         personality,
         output,
         more=WIND,
