@@ -204,6 +204,11 @@ class Rope:
         return self._state.offset
 
     @property
+    def place(self) -> Array:
+        """Of the load (3,) [m], world; on the ground its height is 0."""
+        return self._place
+
+    @property
     def angle(self) -> float:
         """From the vertical, rad; 0 if nothing hangs on it."""
         x, y, z = self._state.offset.tolist()

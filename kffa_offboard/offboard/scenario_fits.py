@@ -6,7 +6,6 @@ from math import ceil, degrees
 from typing import TYPE_CHECKING
 
 from kffa_offboard.offboard.course import course_problem
-from kffa_offboard.offboard.sway import ARRIVING
 from kffa_offboard.offboard.segments import (
     Altitude,
     Land,
@@ -18,6 +17,7 @@ from kffa_offboard.offboard.segments import (
     Triangle,
     check_scenario,
 )
+from kffa_offboard.offboard.sway import ARRIVING
 
 if TYPE_CHECKING:
     from kffa_offboard.offboard.settings import FlightSettings, LimitSettings, PositionSettings

@@ -24,7 +24,7 @@ def test_a_load_is_delivered_where_it_is_to_be(lock_step_flight: Any, personalit
     )
     flight.vehicle = SimulatedVehicle(sim_config.load(bundled(f"demo-{personality}-rope-vehicle.toml")))
     rope, places = flight.vehicle.plant._rope, []
-    flight.before_slot = lambda: places.append(rope._place.copy())
+    flight.before_slot = lambda: places.append(rope.place.copy())
     result = flight.fly()
     assert result.finished is not None and result.finished.successful, result
     events = [(event.text, event.time_s) for event in flight.vehicle.truth.events]
