@@ -9,8 +9,8 @@ which is never negative: a rope does not push, the load then falls freely. That 
 because the rope turns the vehicle is left out of T, and comes with the next step's a. World axes, (3,) or
 (3, N); SI.
 
-A load that rests on the ground is carried by it, g is no part of T, and it gives way sideways at most, if
-it slides: 1/m becomes (nx^2 + ny^2) / m, or nothing. It rests as long as T does not lift it.
+A load that rests on the ground is carried by it and gives way to nothing, T = M (|w|^2 / L - n . a), as long
+as that does not lift it; what friction does not hold slides.
 
 A rope that stretches is a spring k with some loss: T = k (distance - L) + c (n . w - dL/dt), where it is
 longer than L. Load and vehicle bounce on it with sqrt(k (1/m + 1/M)).
@@ -82,7 +82,7 @@ def step(
     free_acceleration: Array,
     gravity: float,
     dt: float,
-    friction: float | None = None,
+    resting: bool = False,
 ) -> tuple[SwingState, Array]:
     """State `dt` later and the force (3[, N]) [N] of the rope on the vehicle.
 
@@ -91,7 +91,7 @@ def step(
     mass, vehicle_mass : kg
     vehicle_velocity : (3[, N]) m/s; of the hook
     free_acceleration : (3[, N]) m/s^2; what the hook does without the rope
-    friction : of a load that rests on the ground; None in the air
+    resting : the load is on the ground
     """
     distance = np.maximum(np.sqrt((state.offset**2).sum(axis=0)), _TINY)
     direction = state.offset / distance
@@ -102,10 +102,11 @@ def step(
         tension = _stretched(rope, mass, vehicle_mass, distance, (direction * relative).sum(axis=0))
     else:
         pull = _keeping_length(rope, distance, direction, relative, free_acceleration, dt)
-        lifting = np.maximum(pull + (direction * down).sum(axis=0), 0.0) / (1.0 / mass + 1.0 / vehicle_mass)
-        if friction is not None:
-            lifting = _on_the_ground(direction, pull, lifting, mass, vehicle_mass, gravity, friction)
-        tension = np.where(distance >= rope.length * (1.0 - 1e-3), lifting, 0.0)
+        lifting = (pull + (direction * down).sum(axis=0)) / (1.0 / mass + 1.0 / vehicle_mass)
+        if resting:
+            held = pull * vehicle_mass
+            lifting = np.where(-held * direction[2] < mass * gravity, held, lifting)
+        tension = np.where(distance >= rope.length * (1.0 - 1e-3), np.maximum(lifting, 0.0), 0.0)
     force = tension * direction
     velocity = state.velocity + dt * (down - force / mass)
     moved_vehicle = vehicle_velocity + dt * (free_acceleration + force / vehicle_mass)
@@ -138,24 +139,6 @@ def _keeping_length(
     turning = across / rope.length - (direction * free_acceleration).sum(axis=0)
     left = (along - rope.rate) / (4.0 * dt) + (distance - rope.length) / (16.0 * dt * dt)
     return np.asarray(turning + left)
-
-
-def _on_the_ground(
-    direction: Array,
-    pull: Row,
-    lifting: Row,
-    mass: float,
-    vehicle_mass: float,
-    gravity: float,
-    friction: float,
-) -> Row:
-    """Tension [N] while the load stays where it is; while it slides; `lifting` if it comes off the ground."""
-    sideways, upwards = np.hypot(direction[0], direction[1]), np.maximum(-direction[2], 0.0)
-    held = np.maximum(pull, 0.0) * vehicle_mass
-    stays = held * sideways <= friction * (mass * gravity - held * upwards)
-    sliding = np.maximum(pull, 0.0) / (sideways**2 / mass + 1.0 / vehicle_mass)
-    resting = np.where(stays, held, sliding)
-    return np.where(resting * upwards < mass * gravity, resting, lifting)
 
 
 class Rope:
@@ -262,7 +245,6 @@ class Rope:
         dt: float,
     ) -> Array:
         """Load and rope `dt` s later; the force (3,) [N] on the vehicle until then."""
-        rests = body.ground is not None and self._place[2] <= 0.0
         self._state, force = step(
             SwingState(self._place - hook, self._state.velocity),
             rope,
@@ -272,7 +254,7 @@ class Rope:
             free,
             body.gravity,
             dt,
-            body.ground.friction if rests and body.ground is not None else None,
+            resting=body.ground is not None and bool(self._place[2] <= 0.0),
         )
         if body.ground is not None:
             self._touch(body.ground.friction, dt)

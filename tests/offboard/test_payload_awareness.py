@@ -91,6 +91,17 @@ def test_a_pick_up_is_named_with_its_mass_and_a_drop_within_0_3_seconds(fake):
     assert said(flight)[1:] == ["dropped 5.0 kg"]
 
 
+@pytest.mark.parametrize("jerk", [-0.3, 0.2, 0.5])
+def test_a_jerk_is_no_change(fake, jerk):
+    """A winch that starts or brakes: kilograms more or less for 0.2 s, and "dropped 0.0 kg" after them."""
+    flight = hovering(fake, weight=LOADED)
+    flight.vehicle.weight = LOADED + jerk
+    flight.run(0.2)
+    flight.vehicle.weight = LOADED
+    flight.run(2.0)
+    assert said(flight) == ["carrying 5.0 kg"]
+
+
 def test_the_mass_is_reported_at_its_rate_with_a_deviation(fake):
     flight = hovering(fake, weight=LOADED, report_hz=5.0)
     before = len(reports(flight))

@@ -11,7 +11,7 @@ from kffa_offboard.control.position import PositionDesign, acceleration_of, desi
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, Signals
 from kffa_offboard.offboard.flight import Directive
-from kffa_offboard.offboard.horizontal import begin_horizontal, step_horizontal
+from kffa_offboard.offboard.horizontal import begin_horizontal, position_reference, step_horizontal
 from kffa_offboard.offboard.loop import begin_loop
 from kffa_offboard.offboard.segments import Hold, Land, Move, Step, Takeoff
 from kffa_offboard.offboard.service import State
@@ -148,6 +148,24 @@ def test_the_ring_that_damps_holds_only_while_its_setpoints_act():
     assert reference[:2] == pytest.approx((0.0, 0.1), abs=0.01)
     state, _ = step_horizontal(settings, state, known, directive, False, True, 0.01)
     assert not state.damps and state.ring.kalman is not None and state.ring.observer.disturbance.any()
+
+
+def test_a_place_that_is_captured_anew_is_the_set_point_at_once():
+    """What was on its way to the old one is forgotten."""
+    settings = replace(on_rope(), sway_rad_s=1.0)
+    known = Telemetry(
+        attitude=events.AttitudeReceived(1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        position=events.PositionReceived(1, (4.0, 2.0, 3.0), (0.0, 0.0, 0.0)),
+    )
+    here = Directive((0.0, 0.0, 0.0, 3.0), align=True)
+    state, _ = step_horizontal(settings, begin_horizontal(settings, known), known, here, True, True, 0.01)
+    there = Directive((0.0, 0.0, 0.0, 3.0), offset=(1.0, 0.0))
+    for _ in range(100):
+        state, _ = step_horizontal(settings, state, known, there, True, True, 0.01)
+    assert 4.0 < position_reference(state)[0] < 4.9  # on its way
+    for _ in range(3):
+        state, _ = step_horizontal(settings, state, known, here, True, True, 0.01)
+        assert position_reference(state) == pytest.approx(state.captured, abs=1e-9)
 
 
 def test_its_numbers_can_be_changed_in_flight(fake):
