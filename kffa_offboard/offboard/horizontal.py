@@ -93,24 +93,18 @@ def step_horizontal(
     # On the ground the gear takes what the attitude gives.
     acceleration = np.zeros(2) if grounded else _acceleration(settings, known)
     state = _with_fitting_ring(settings, state, known, acting)
-    parameters, ring, captured = flown_ring(settings, state), state.ring, state.captured
-    if directive.align:
-        ring = position.align_reference(parameters, ring)
-        stop = _stop(settings, parameters, ring)
-        captured = (stop[0] - directive.offset[0], stop[1] - directive.offset[1])
-    sway, offset = state.sway, directive.offset
-    if settings.sway_rad_s > 0.0:
-        sway = Sway(offset) if directive.align or sway is None else sway
-        sway, offset = without_sway(sway, settings.sway_rad_s, offset, dt)
+    parameters = flown_ring(settings, state)
+    state = _with_set_point(settings, parameters, state, directive, dt)
+    captured = state.captured
     inputs = position.PositionInput(
-        reference=np.add(captured, offset),
+        reference=np.add(captured, state.offset),
         measurement=np.array(known.position.position[:2]),
         fresh=np.full(2, fresh),
         yaw=known.attitude.attitude[2],
         measured_rate=np.array(known.position.velocity[:2]),
         acceleration=acceleration,
     )
-    ring, output = position.step(parameters, ring, inputs, dt)
+    ring, output = position.step(parameters, state.ring, inputs, dt)
     swing = NO_SWING
     if grounded or not acting:
         ring = position.with_applied(parameters, ring, acceleration)
@@ -126,12 +120,32 @@ def step_horizontal(
         swing=swing,
         swings=state.swings or swing.shows,
         damps=state.damps,
-        offset=offset,
-        sway=sway,
+        offset=state.offset,
+        sway=state.sway,
     )
     _, _, yaw, altitude = directive.reference
     roll, pitch = (0.0, 0.0) if grounded else output.attitude.tolist()
     return state, (roll, pitch, yaw, altitude)
+
+
+def _with_set_point(
+    settings: PositionSettings,
+    parameters: position.PositionParameters,
+    state: HorizontalState,
+    directive: Directive,
+    dt: float,
+) -> HorizontalState:
+    """Where the ring is to be: from the place that was captured, or is now."""
+    ring, captured, offset = state.ring, state.captured, directive.offset
+    if directive.align:
+        ring = position.align_reference(parameters, ring)
+        stop = _stop(settings, parameters, ring)
+        captured = (stop[0] - offset[0], stop[1] - offset[1])
+    sway = state.sway
+    if settings.sway_rad_s > 0.0:
+        sway = Sway(offset) if directive.align or sway is None else sway
+        sway, offset = without_sway(sway, settings.sway_rad_s, offset, dt)
+    return replace(state, ring=ring, captured=captured, offset=offset, sway=sway)
 
 
 def _with_fitting_ring(
