@@ -21,6 +21,7 @@ from rich.table import Table
 
 RESULTS = Path(__file__).parent / "results.json"
 SO_TIMESTAMPNS = 35  # Linux: the kernel says when a datagram arrived
+AWAKE = "[realtime]\nenabled = true\nrequired = false\nkeep_awake = true\n"
 OFFBOARD = 6 << 16  # PX4's custom_mode
 POSITION = 3 << 16
 

@@ -53,18 +53,19 @@ class Daemon:
         return summary
 
 
-def patient_config(directory: Path, port: int) -> Path:
-    """`common.daemon_config` for a machine that is busy."""
+def patient_config(directory: Path, port: int, tables: str) -> Path:
+    """`common.daemon_config` for a machine that is busy; `tables` are added to it."""
     config = daemon_config(directory, port)
-    config.write_text(config.read_text().replace("[telemetry]\n", f"[telemetry]\n{PATIENT}"))
+    text = config.read_text().replace("[telemetry]\n", f"[telemetry]\n{PATIENT}")
+    config.write_text(f"{text}\n{tables}")
     return config
 
 
 @contextmanager
-def daemon(directory: Path, *options: str) -> Iterator[Daemon]:
-    """A daemon with a log that is to engage; it has ended afterwards."""
+def daemon(directory: Path, *options: str, tables: str = "") -> Iterator[Daemon]:
+    """A daemon with a log that is to engage, `tables` in its configuration; it has ended afterwards."""
     port = free_port()
-    config = patient_config(directory, port)
+    config = patient_config(directory, port, tables)
     command = [sys.executable, "-m", "kffa_offboard", "run", "--config", str(config), "--engage", "--json"]
     command += ["--log", str(directory / "flight.tlog"), *options]
     probe = Probe(port)

@@ -48,7 +48,7 @@ def fly(directory: Path, *options: str) -> dict[str, Any]:
         own = directory / f"vehicle-{k}"
         own.mkdir()
         port = free_port()
-        config = patient_config(own, port).rename(own / f"v{k}.toml")
+        config = patient_config(own, port, "").rename(own / f"v{k}.toml")
         config.write_text(config.read_text() + f'[log]\ndirectory = "{own}"\n')
         command += ["--config", str(config)]
         probes.append(Probe(port))

@@ -15,7 +15,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
-from common import Probe, daemon_config, free_port, percentiles, save
+from common import AWAKE, Probe, daemon_config, free_port, percentiles, save
 from replay import GOLDEN
 
 from kffa_offboard.config_log import config_of
@@ -153,8 +153,7 @@ def main() -> None:
     rows["UDP, bytes made before"] = round_trips(socket_port, bare, str(socket_port))
     rows["UDP, bare pymavlink echo"] = round_trips(echo_port, str(here / "echo.py"), str(echo_port))
     rows["UDP, kffa-offboard run"] = daemon_round_trips("")
-    awake = "[realtime]\nenabled = true\nrequired = false\nkeep_awake = true\n"
-    rows["UDP, kffa-offboard run, --realtime and keep_awake"] = daemon_round_trips(awake)
+    rows["UDP, kffa-offboard run, --realtime and keep_awake"] = daemon_round_trips(AWAKE)
     if find_spec("mavsdk") is None:
         print('no row for MAVSDK: pip install "kffa-offboard[clients]"', file=sys.stderr)
     else:

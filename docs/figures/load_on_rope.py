@@ -77,7 +77,7 @@ def main(target: Path) -> None:
                 axes.plot(*fly(case, length, seconds), color=colour, label=case, linewidth=1.0)
             axes.set(xlabel="time since the pick-up [s]", ylabel="swing [degrees]", xlim=(0.0, seconds))
             axes.set_title(f"{LOAD_KG:g} kg on {length:g} m of rope")
-        figure.axes[0].legend(loc="center right")
+        figure.axes[1].legend(loc="upper left")
 
 
 if __name__ == "__main__":

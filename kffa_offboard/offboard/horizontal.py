@@ -24,8 +24,16 @@ from kffa_offboard.offboard.flight import Directive
 from kffa_offboard.offboard.reference import Offset, Reference
 from kffa_offboard.offboard.settings import PositionSettings
 from kffa_offboard.offboard.sway import Sway, without_sway
-from kffa_offboard.offboard.swinging import NO_SWING, Swing, steady_part, watch_swing
+from kffa_offboard.offboard.swinging import (
+    NO_SWING,
+    Swing,
+    steady_part,
+    watch_swing,
+    watch_whirl,
+    whirls,
+)
 from kffa_offboard.offboard.telemetry import Telemetry
+from kffa_offboard.offboard.turns import NO_PLANE_TURNS, PlaneTurns
 
 
 class HorizontalState(Struct, frozen=True, gc=False):
@@ -38,6 +46,7 @@ class HorizontalState(Struct, frozen=True, gc=False):
     hold_offset : m, where the vehicle comes to rest if it is told to hold now, from `captured`
     error : m, distance between the tracked set point and the estimate while it is being held, else 0
     swing : the disturbance as far as it may be a load that swings
+    whirl : the vehicle's speed as far as a load may throw it to and fro
     swings : there is such a load
     damps : `ring` is the state of the ring that damps
     offset : m, where the ring is told to be, from `captured`
@@ -49,6 +58,7 @@ class HorizontalState(Struct, frozen=True, gc=False):
     hold_offset: Offset = (0.0, 0.0)
     error: float = 0.0
     swing: Swing = NO_SWING
+    whirl: PlaneTurns = NO_PLANE_TURNS
     swings: bool = False
     damps: bool = False
     offset: Offset = (0.0, 0.0)
@@ -105,11 +115,13 @@ def step_horizontal(
         acceleration=acceleration,
     )
     ring, output = position.step(parameters, state.ring, inputs, dt)
-    swing = NO_SWING
+    swing, whirl = NO_SWING, NO_PLANE_TURNS
     if grounded or not acting:
         ring = position.with_applied(parameters, ring, acceleration)
-    elif not state.damps and settings.damping is not None:
-        swing = watch_swing(state.swing, output.ring.disturbance, dt)
+    else:
+        whirl = watch_whirl(state.whirl, known.position.velocity, dt)
+        if not state.damps and settings.damping is not None:
+            swing = watch_swing(state.swing, output.ring.disturbance, dt)
     stop = _stop(settings, parameters, ring)
     away = output.ring.reference - output.ring.estimate
     state = HorizontalState(
@@ -118,6 +130,7 @@ def step_horizontal(
         hold_offset=(stop[0] - captured[0], stop[1] - captured[1]),
         error=0.0 if grounded or not acting else hypot(*away.tolist()),
         swing=swing,
+        whirl=whirl,
         swings=state.swings or swing.shows,
         damps=state.damps,
         offset=state.offset,
@@ -188,10 +201,12 @@ def position_reference(state: HorizontalState | None) -> tuple[float, float] | N
 
 
 def astray(settings: PositionSettings | None, state: HorizontalState | None) -> str | None:
-    """Say so if the vehicle is too far from its set point (a compass or an estimate is wrong)."""
-    if settings is None or state is None or state.error <= settings.error_max_m:
+    """Say so if the vehicle is too far from its set point (a wrong compass or estimate), or thrown about."""
+    if settings is None or state is None:
         return None
-    return f"{state.error:.1f} m from the set point"
+    if whirls(state.whirl):
+        return "thrown to and fro: the load swings too much"
+    return f"{state.error:.1f} m from the set point" if state.error > settings.error_max_m else None
 
 
 def position_jump(

@@ -20,8 +20,9 @@ import numpy as np
 from msgspec import Struct
 
 from kffa_offboard.control import Array
+from kffa_offboard.offboard.events import Vector3
 from kffa_offboard.offboard.settings import ServiceSettings
-from kffa_offboard.offboard.turns import NO_TURNS, Turns, follow_turns
+from kffa_offboard.offboard.turns import NO_PLANE_TURNS, PlaneTurns, follow_in_plane
 
 TURN_M_S2 = 1.5
 """From one side to the other; a load of half the vehicle's mass that swings by 9 degrees each way."""
@@ -30,21 +31,25 @@ TURNS = 5
 LONGEST_TURN_S = 7.0
 """So many, none later than this after the one before: half the period of a rope of 50 m."""
 
-_EIGHTH_TURN = 0.5**0.5
+QUICK_TURN_M_S2, QUICK_TURNS, LONGEST_QUICK_TURN_S = 0.8, 4, 0.8
+"""The same for what turns quickly: on a metre of rope and less a swing doubles with every turn, and an
+observer of 6 rad/s shows a third to a half of its pull. Gusts turn so once."""
+
+WHIRL_M_S, WHIRL_TURNS, LONGEST_WHIRL_TURN_S = 3.0, 8, 0.7
+"""Of the vehicle's own speed: a load that circles it with several times its weight, which whatever answers
+late drives on. Setpoints cannot do that: it takes 0.4 g and more, by turns to one side and the other."""
 
 
 class Swing(Struct, frozen=True, gc=False):
-    """What is remembered of the disturbance along x and y, and along the two directions between them."""
+    """What is remembered of the disturbance: its turns, and those that are quick."""
 
-    x: Turns = NO_TURNS
-    y: Turns = NO_TURNS
-    between: Turns = NO_TURNS
-    across: Turns = NO_TURNS
+    slow: PlaneTurns = NO_PLANE_TURNS
+    quick: PlaneTurns = NO_PLANE_TURNS
 
     @property
     def shows(self) -> bool:
         """There is one."""
-        return max(self.x.count, self.y.count, self.between.count, self.across.count) >= TURNS
+        return self.slow.count >= TURNS or self.quick.count >= QUICK_TURNS
 
 
 NO_SWING = Swing()
@@ -53,32 +58,26 @@ NO_SWING = Swing()
 def watch_swing(swing: Swing, disturbance: Array, dt: float) -> Swing:
     """Take in the disturbance (2,) [m/s^2] of a step of `dt` s in the air under our setpoints."""
     x, y = disturbance.tolist()
-    between, across = _turned(x, y)
     return Swing(
-        follow_turns(swing.x, x, dt, TURN_M_S2, LONGEST_TURN_S),
-        follow_turns(swing.y, y, dt, TURN_M_S2, LONGEST_TURN_S),
-        follow_turns(swing.between, between, dt, TURN_M_S2, LONGEST_TURN_S),
-        follow_turns(swing.across, across, dt, TURN_M_S2, LONGEST_TURN_S),
+        follow_in_plane(swing.slow, x, y, dt, TURN_M_S2, LONGEST_TURN_S),
+        follow_in_plane(swing.quick, x, y, dt, QUICK_TURN_M_S2, LONGEST_QUICK_TURN_S),
     )
 
 
 def steady_part(swing: Swing, disturbance: Array) -> Array:
     """What of the disturbance (2,) [m/s^2] does not swing: the wind."""
-    x, y = disturbance.tolist()
-    if max(swing.between.count, swing.across.count) > max(swing.x.count, swing.y.count):
-        between, across = _turned(x, y)
-        return np.array(_turned(_middle(swing.between, between), _middle(swing.across, across)))
-    return np.array([_middle(swing.x, x), _middle(swing.y, y)])
+    turns = swing.quick if swing.quick.count >= QUICK_TURNS else swing.slow
+    return np.array(turns.middle(*disturbance.tolist()))
 
 
-def _middle(turns: Turns, value: float) -> float:
-    """Where it has turned round; else the present `value`."""
-    return turns.middle if turns.count > 1 else value
+def watch_whirl(whirl: PlaneTurns, velocity: Vector3, dt: float) -> PlaneTurns:
+    """Take in the measured velocity [m/s] of a step of `dt` s in the air under our setpoints."""
+    return follow_in_plane(whirl, velocity[0], velocity[1], dt, WHIRL_M_S, LONGEST_WHIRL_TURN_S)
 
 
-def _turned(x: float, y: float) -> tuple[float, float]:
-    """Along the directions between x and y; the same leads back again."""
-    return (x + y) * _EIGHTH_TURN, (x - y) * _EIGHTH_TURN
+def whirls(whirl: PlaneTurns) -> bool:
+    """The load throws the vehicle to and fro, and nothing here will stop it."""
+    return whirl.count >= WHIRL_TURNS
 
 
 YIELDING = np.array([0.0, 0.0, 1.0, 1.0])

@@ -183,6 +183,25 @@ def test_a_bumpless_pid_takes_over_the_acting_command() -> None:
     assert out.command[3] == pytest.approx(0.6, abs=1e-6)
 
 
+def test_a_pid_that_follows_takes_over_while_the_vehicle_moves() -> None:
+    """A climb at 1 m/s, seen for a while: the reference begins with that speed, and brakes."""
+    parameters = design("pid", AIRFRAME)
+    assert parameters.pid is not None
+    parameters = replace(parameters, pid=replace(parameters.pid, follow=True))
+    climb, acting = np.array([0.0, 0.0, 0.0, 1.0]), np.array([0.0, 0.0, 0.0, 0.5])
+    state = controllers.initial_state(parameters, np.zeros(4), acting)
+    for k in range(300):
+        inputs = ControllerInput(0.01 * k * climb, 0.01 * k * climb, ALL_FRESH, climb)
+        state, _ = controllers.step(parameters, state, inputs, 0.01)
+        state = controllers.with_applied(parameters, state, acting)
+    state = controllers.align_reference(parameters, state)
+    here = ControllerInput(3.0 * climb, 3.0 * climb, ALL_FRESH, climb)
+    after, out = controllers.step(parameters, state, here, 0.01)
+    assert after.differentiator is not None
+    braking = after.differentiator.acceleration[3] / AIRFRAME.b0[3]
+    assert out.command[3] == pytest.approx(0.5 + braking, abs=0.05), "without its speed it would be 0.5 more"
+
+
 @given(
     dts=st.lists(st.floats(0.001, 0.2), min_size=1, max_size=25),
     values=st.lists(st.floats(-50.0, 50.0), min_size=25, max_size=25),

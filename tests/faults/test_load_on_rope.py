@@ -128,11 +128,30 @@ def test_on_one_that_is_not_the_swing_grows_until_it_shows_and_is_damped_then(
     assert max(flight.away) < 0.8 and max(flight.tilts) < math.radians(21.0)
 
 
+@pytest.mark.parametrize(("personality", "output"), [("px4", "rates"), ("ardupilot", "attitude")])
+def test_on_a_short_one_it_shows_before_it_is_too_late(fly, personality, output):
+    """Half a metre in gusty wind: the swing doubles with every turn, and from 60 degrees on is not damped."""
+    flight = fly(ring(personality), 25.0, personality, output, length_m=0.5, more=WIND, pushed=False)
+    assert flight.released_s is None and flight.texts.count(SWINGS) == 1
+    assert flight.violations == []
+    assert math.radians(15.0) < max(flight.swing) < math.radians(50.0)
+    assert worst(flight.swing, 23.0, 25.0) < math.radians(10.0)
+
+
 def test_without_the_other_ring_the_load_ends_circling_the_vehicle(fly):
-    """What the two above are for."""
+    """What the ones above are for."""
     flight = fly(ring("px4", damping=None), 22.0)
     assert SWINGS not in flight.texts
     assert worst(flight.swing, 20.0, 22.0) > math.radians(60.0)
+
+
+def test_a_load_that_throws_the_vehicle_to_and_fro_ends_control(fly):
+    """The same, on half a metre: it would go on until the rope pulls with a hundred times the weight."""
+    flight = fly(ring("px4", damping=None), 25.0, length_m=0.5)
+    assert "failsafe: thrown to and fro: the load swings too much" in flight.texts
+    ended = round(100 * flight.released_s)
+    assert math.radians(60.0) < flight.swing[ended] < math.radians(88.0)
+    assert max(flight.tilts[:ended]) < math.radians(21.0)
 
 
 @pytest.mark.parametrize("told", [False, True])

@@ -3,7 +3,16 @@
 import numpy as np
 import pytest
 
-from kffa_offboard.offboard.swinging import LONGEST_TURN_S, NO_SWING, TURN_M_S2, steady_part, watch_swing
+from kffa_offboard.offboard.swinging import (
+    LONGEST_TURN_S,
+    NO_SWING,
+    TURN_M_S2,
+    steady_part,
+    watch_swing,
+    watch_whirl,
+    whirls,
+)
+from kffa_offboard.offboard.turns import NO_PLANE_TURNS
 
 DT = 0.01
 
@@ -61,6 +70,21 @@ def test_nor_do_gusts(seed):
     assert watched(disturbance, 120.0)[0] is None
 
 
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (0.71, -0.71)])
+def test_a_quick_one_shows_when_it_is_smaller(direction):
+    """On half a metre of rope the observer shows a third of the pull."""
+    shows_s, swing = watched(swings(0.45, 1.2, (0.4, -0.7), direction), 10.0)
+    assert shows_s is not None and shows_s < 4.0 * 1.2
+    assert swing.slow.count == 0
+    now = np.array(swings(0.45, 1.2, (0.4, -0.7), direction)(shows_s))
+    assert steady_part(swing, now) == pytest.approx([0.4, -0.7], abs=0.1)
+
+
+@pytest.mark.parametrize(("size", "period"), [(0.39, 1.2), (0.45, 1.7)])
+def test_a_small_one_and_a_slow_one_do_not(size, period):
+    assert watched(swings(size, period), 60.0)[0] is None
+
+
 def test_what_does_not_swing_is_told_apart():
     """The wind along both axes, of which one swings."""
     shows_s, swing = watched(swings(1.2, 2.0, wind=(0.4, -0.7)), 20.0)
@@ -74,5 +98,21 @@ def test_and_from_a_swing_between_the_axes():
     """Along neither axis would it show."""
     push = swings(0.9, 2.0, wind=(0.4, -0.7), direction=(0.71, 0.71))
     shows_s, swing = watched(push, 20.0)
-    assert shows_s is not None and max(swing.x.count, swing.y.count) == 0
+    assert shows_s is not None and max(swing.slow.x.count, swing.slow.y.count) == 0
     assert steady_part(swing, np.array(push(shows_s))) == pytest.approx([0.4, -0.7], abs=0.05)
+
+
+@pytest.mark.parametrize(
+    ("speed", "period", "ends_s"), [(1.6, 1.0, 4.5), (4.0, 0.4, 2.0), (1.45, 1.0, None), (3.0, 1.5, None)]
+)
+@pytest.mark.parametrize("course", [(0.0, 0.0), (3.0, -2.0)])
+def test_a_vehicle_that_is_thrown_in_circles_is_told_from_one_that_swings(speed, period, ends_s, course):
+    """Eight turns by 3 m/s, each within 0.7 s, wherever the vehicle is going."""
+    whirl, found_s = NO_PLANE_TURNS, None
+    for k in range(3000):
+        angle = 2.0 * np.pi * k * DT / period
+        velocity = course[0] + speed * np.cos(angle), course[1] + speed * np.sin(angle), 0.0
+        whirl = watch_whirl(whirl, velocity, DT)
+        if found_s is None and whirls(whirl):
+            found_s = k * DT
+    assert found_s is None if ends_s is None else found_s is not None and found_s < ends_s
