@@ -11,7 +11,12 @@ from kffa_offboard.control.position import PositionDesign, acceleration_of, desi
 from kffa_offboard.offboard import events
 from kffa_offboard.offboard.events import AttitudeTarget, ModeKind, Signals
 from kffa_offboard.offboard.flight import Directive
-from kffa_offboard.offboard.horizontal import begin_horizontal, position_reference, step_horizontal
+from kffa_offboard.offboard.horizontal import (
+    astray,
+    begin_horizontal,
+    position_reference,
+    step_horizontal,
+)
 from kffa_offboard.offboard.loop import begin_loop
 from kffa_offboard.offboard.segments import Hold, Land, Move, Step, Takeoff
 from kffa_offboard.offboard.service import State
@@ -94,6 +99,23 @@ def test_on_the_ground_the_attitude_is_not_commanded(fake):
     targets = [target.attitude[:2] for _, target in flight.sent(AttitudeTarget)]
     assert len(targets) > 50
     assert set(targets[:-2]) == {(0.0, 0.0)}
+
+
+@pytest.mark.parametrize(("ground_thrust", "acting"), [(None, True), (None, False), (0.2, True)])
+def test_to_be_thrown_to_and_fro_counts_in_the_air_under_our_setpoints_only(ground_thrust, acting):
+    """A pilot who flies like that may engage afterwards."""
+    level = events.AttitudeReceived(1, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    settings = ring()
+    known = Telemetry(attitude=level, position=events.PositionReceived(1, (0.0, 0.0, 5.0), (0.0, 0.0, 0.0)))
+    state = begin_horizontal(settings, known)
+    directive = Directive((0.0, 0.0, 0.0, 5.0), ground_thrust)
+    for k in range(500):
+        velocity = (2.0 * np.sin(0.1 * k), 0.0, 0.0)
+        moving = events.PositionReceived(10_000 * k, (0.0, 0.0, 5.0), velocity)
+        known = Telemetry(attitude=level, position=moving)
+        state, _ = step_horizontal(settings, state, known, directive, acting, True, 0.01)
+    thrown = "thrown to and fro: the load swings too much"
+    assert (astray(settings, state) == thrown) is (acting and ground_thrust is None)
 
 
 @pytest.mark.parametrize(("ground_thrust", "felt"), [(None, G * np.tan(0.1)), (0.2, 0.0)])
