@@ -37,7 +37,7 @@ observer of 6 rad/s shows a third to a half of its pull. Gusts turn so once."""
 
 WHIRL_M_S, WHIRL_TURNS, LONGEST_WHIRL_TURN_S = 3.0, 8, 0.7
 """Of the vehicle's own speed: a load that circles it with several times its weight, which whatever answers
-late drives on. Setpoints cannot do that: it takes 0.4 g and more, by turns to one side and the other."""
+late drives on. Setpoints hardly do that: it takes 24 degrees of tilt, by turns to one side and the other."""
 
 
 class Swing(Struct, frozen=True, gc=False):
